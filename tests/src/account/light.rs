@@ -169,9 +169,9 @@ fn exponent_row(by: By, timed: bool) -> Row {
         formula: match by {
             By::SunPlane => "ray past a Gaussian, whitened on the sun's plane `‖A Δ‖²`",
             By::Hierarchy => {
-                "ray past a Gaussian, nearest point in whitened space `‖e + d t*‖²` from where it passes the centre"
+                "ray past a Gaussian, nearest point in whitened space `‖e + d t*‖²`, from its closest approach to the centre"
             }
-            By::Lamp => "the same toward a lamp, whose rays turn as their start moves",
+            By::Lamp => "the same toward a lamp: the direction of a ray depends on its origin",
         },
         domain: "sizes 1 mm to 1 km, 100 : 1, 5 to 500 standard deviations away; transmittance absolute, gradients to both centres relative",
         robust: Errors {
@@ -314,7 +314,7 @@ fn sheet_row() -> Row {
     }
     Row {
         formula: "self-shadow: ray lifted off its sheet, near peaks not counted",
-        domain: "a lit plane, 1 to 90 degrees, sizes 1 mm to 100 m; shadow that should not be there",
+        domain: "a lit plane, 1 to 90 degrees, sizes 1 mm to 100 m; false shadow",
         robust: Errors {
             value: robust,
             gradient: None,
@@ -363,7 +363,7 @@ fn point_row() -> Row {
         }
     }
     Row {
-        formula: "direction to a point light, up where it stands in the place itself",
+        formula: "direction to a point light, up at the position of the light",
         domain: "0 to 1 km, departure from unit length",
         robust: Errors {
             value: robust,

@@ -108,7 +108,7 @@ fn sigmoid_row(timed: bool) -> Row {
 fn exp_row(timed: bool) -> Row {
     let std = f32::exp;
     Row {
-        formula: "`exp` in lanes (saturates; beside it the standard library's)",
+        formula: "`exp` in lanes (saturates; naive: the standard library's)",
         domain: "x from -87 to 88, relative",
         robust: Errors {
             value: worst(-87.0, 88.0, fast::exp, f64::exp),
@@ -135,7 +135,7 @@ fn ln_row(timed: bool) -> Row {
         worst
     };
     Row {
-        formula: "`ln` in lanes (beside it the standard library's)",
+        formula: "`ln` in lanes (naive: the standard library's)",
         domain: "x from 1e-36 to 1e38, relative, absolute below 0.01",
         robust: Errors {
             value: sweep(&fast::ln),
@@ -152,7 +152,7 @@ fn ln_row(timed: bool) -> Row {
 
 fn exp2_row(timed: bool) -> Row {
     Row {
-        formula: "`2^x` of the rasteriser, a polynomial of degree four (beside it the standard library's)",
+        formula: "`2^x` of the rasteriser, a polynomial of degree four (naive: the standard library's)",
         domain: "x from -8 (alpha 1/255) to 0, relative",
         robust: Errors {
             value: worst(-8.0, 0.0, exp2, f64::exp2),
@@ -196,7 +196,7 @@ fn opaqueness_row() -> Row {
         );
     }
     Row {
-        formula: "binary entropy of a shadow, settled outside [0.02, 0.98]",
+        formula: "binary entropy of a shadow, constant outside [0.02, 0.98]",
         domain: "S from 0 to 1, absolute",
         robust: Errors {
             value: robust.0,
@@ -229,7 +229,7 @@ fn decay_row() -> Row {
         worst
     };
     Row {
-        formula: "learning rate `a (b/a)^t`, nothing where a is",
+        formula: "learning rate `a (b/a)^t`, 0 for a = 0",
         domain: "a and b from 0 to 1, t from 0 to 1, relative",
         robust: Errors {
             value: sweep(&exponential_decay),

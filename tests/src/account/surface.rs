@@ -120,7 +120,7 @@ fn reflected_row() -> Row {
         }
     }
     Row {
-        formula: "light over facets `D / ((n·l + …)(n·v + …))`, masking and cosines in one",
+        formula: "microfacet term `D / ((n·l + …)(n·v + …))`, masking and cosines in one",
         domain: "α from 0.03 to 1, light and eye from the normal to 1e-30 above the surface, relative",
         robust: Errors {
             value: robust,
@@ -162,7 +162,7 @@ fn split_sum_row() -> Row {
         }
     }
     Row {
-        formula: "split sum, a table against its integral (beside it the analytic fit of Karis 2014)",
+        formula: "split sum, a table against its integral (naive: the analytic fit of Karis 2014)",
         domain: "roughness from 0.05 to 1, cosines from 4e-4 to 1, absolute",
         robust: Errors {
             value: robust,
@@ -326,8 +326,8 @@ fn dipole_row() -> Row {
         }
     }
     Row {
-        formula: "dipole; gradient to what absorbs through `σ_tr²` and not through its root",
-        domain: "scattering from 0 to 1000, absorption from 0 to 30, 0 to 3 away, relative (the naive gradient only where it is no number)",
+        formula: "dipole; gradient to the absorption through `σ_tr²`, not through its root",
+        domain: "scattering from 0 to 1000, absorption from 0 to 30, 0 to 3 away, relative (naive gradient: only if it is not finite)",
         robust: Errors {
             value,
             gradient: Some(slope),
@@ -347,7 +347,7 @@ fn falloff_row() -> Row {
     let (distance, radius) = (3.0f32, 0.0f32);
     let least = f64::from(LEAST_RADIUS) * f64::from(distance);
     for away in std::iter::once(0.0).chain(steps(-12.0, 6.0, 400).map(|e| 10f64.powf(e) as f32)) {
-        let at = || format!("{away:.1e} away from a lamp that counts as one at 3");
+        let at = || format!("{away:.1e} from a lamp of reference distance 3");
         let (d, full) = (f64::from(away), f64::from(distance).powi(2));
         let exact = full / (d * d + least * least);
         let slope = -2.0 * d * exact / (d * d + least * least);
@@ -400,7 +400,7 @@ fn display_row() -> Row {
         );
     }
     Row {
-        formula: "what a display is told, sRGB with its line near nothing (beside it the plain power)",
+        formula: "sRGB encoding, with its linear part near 0 (naive: the power alone)",
         domain: "light from 0 to 1e4, relative",
         robust: Errors {
             value: robust.0,

@@ -4,13 +4,14 @@ use heliosplat_tests::account;
 use std::path::{Path, PathBuf};
 
 /// The text before the table.
-const BEFORE: &str = "# Numbers that hold at the extremes
+const BEFORE: &str = "# Numerics
 
-Written by `cargo run --release -p heliosplat-tests --bin stability`; all but the last column of the first table is the same every
-time. Errors are those of the code's f32 against the same formula in f64, the largest over the domain, and where it is. The naive
-form is the one that a textbook writes, in f32, over the same domain. Cost is the time of the robust form over that of the naive one
-(or of the standard library's, where the form is there for speed), both on the same numbers in the same run, one core; formulas
-without one are not in an inner loop. `cargo test -p heliosplat-tests --test account` holds every row to a limit.
+Accuracy of each formula at its limits. `cargo run --release -p heliosplat-tests --bin stability` measures and writes this page; all
+columns but the cost are the same in every run. `cargo test -p heliosplat-tests --test account` holds each row to a bound.
+
+- **Value, gradient**: largest error of the code's f32 against the same formula in f64 over the domain, and its place.
+- **Naive**: the same for the textbook form in f32.
+- **Cost**: time of the robust form over that of the naive form, on one core. Formulas without a cost are not in an inner loop.
 
 | formula in the code | domain, kind of error | value | gradient | naive: value | naive: gradient | cost |
 |---|---|---|---|---|---|---|

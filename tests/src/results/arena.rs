@@ -47,27 +47,27 @@ impl Arena {
         matches!(self, Self::Olat | Self::Reflective)
     }
 
-    /// Heading, description of the arena, method of measurement, and commands.
+    /// Heading, setting and commands.
     pub(super) fn head(self) -> [&'static str; 3] {
         match self {
             Self::Block => [
                 "Synthetic block",
-                "128 m × 128 m, 12 views of 0.5 m, 10 of them trained on. Exact truth. Protocol `raw`. The seed is that of the site.",
+                "128 m × 128 m, 12 images of 0.5 m, two of them held out; exact truth; protocol `raw`. The seed is that of the site.",
                 "`synth satellite --site block --seed SEED --out SCENE`, then `train SCENE --preset PRESET --out RUN`; sweep: `dsm SCENE --from sweep --out DSM`, then `evaluate --dsm DSM --truth TRUTH`",
             ],
             Self::City => [
                 "Synthetic city",
-                "256 m × 256 m, 16 views of 0.5 m, 14 of them trained on. Exact truth. Protocol `raw`. The seed is that of the site.",
+                "256 m × 256 m, 16 images of 0.5 m, two of them held out; exact truth; protocol `raw`. The seed is that of the site.",
                 "`synth satellite --site city --seed SEED --out SCENE`, then as for the block",
             ],
             Self::CityB => [
                 "Independent city",
-                "12 views of 0.5 m, RGB, rendered by a path tracer that is no part of this project. All views are trained on, without any truth beside them. Protocol `raw`. The seed is that of training.",
+                "12 RGB images of 0.5 m from a path tracer that shares no code with this project, none held out; exact truth; protocol `raw`. The seed is that of training.",
                 "`train SCENE --preset PRESET --seed SEED --out RUN`, then `evaluate --dsm RUN/dsm.tif --truth TRUTH --classes CLASSES`",
             ],
             Self::Jax068 => [
                 "DFC2019 JAX_068",
-                "19 real WorldView-3 crops of 0.33 m, RGB, split and bundle-adjusted RPCs of Sat-NeRF, lidar truth. Protocol `aligned`. The seed is that of training. Data: DFC2019, IEEE DataPort; US3D by JHU/APL, images courtesy DigitalGlobe.",
+                "19 real WorldView-3 crops of 0.33 m, RGB, with Sat-NeRF's split and bundle-adjusted RPCs; lidar truth; protocol `aligned`. The seed is that of training. Data: DFC2019, IEEE DataPort; US3D by JHU/APL, images courtesy DigitalGlobe.",
                 "`train SCENE --preset PRESET --seed SEED --out RUN`, then `evaluate --dsm RUN/dsm.tif --truth TRUTH --classes CLASSES --protocol aligned`",
             ],
             Self::Olat => [
@@ -90,16 +90,6 @@ impl Arena {
             Self::Jax068 => &SURFACE_WITH_IMAGES,
             Self::Olat => &OLAT,
             Self::Reflective => &REFLECTIVE,
-        }
-    }
-
-    /// Notes on the columns.
-    pub(super) fn note(self) -> &'static str {
-        match self {
-            Self::Block | Self::City => {
-                "\"Unknown of seen\" is the share of the ground that at least two images see and that is unknown. BER is the balanced error rate of shadow masks of the images trained on. \"With the image\" uses the image itself to place the border of each traced shadow; \"traced\" does not. PSNR is of held-out images, with the colour of an image of the same day."
-            }
-            _ => "",
         }
     }
 }
@@ -160,6 +150,25 @@ const OLAT: [Column; 7] = [
     MEMORY,
 ];
 const REFLECTIVE: [Column; 5] = [HELD_OUT, SSIM, NORMALS, TIME, MEMORY];
+/// Notes on columns, by the key of the column.
+pub(super) const NOTES: [(&str, &str); 4] = [
+    (
+        "/dsm/seen_unknown",
+        "**Unknown of seen**: unknown share of the ground that two images or more see.",
+    ),
+    (
+        "/shadow/ber",
+        "**BER with the image**: balanced error rate of shadow masks whose borders are refined by the image, on training images.",
+    ),
+    (
+        "/shadow/traced/ber",
+        "**BER traced**: the same without the image, comparable with other methods.",
+    ),
+    (
+        "/test/psnr_rgb",
+        "**PSNR held out**: images that were not trained on, in the colour of a training image of the same day.",
+    ),
+];
 /// Wall time of the command, seconds.
 pub(super) const SECONDS: &str = "seconds";
 /// Most memory that the command held, bytes.

@@ -1,17 +1,19 @@
-//! The page: one table for each arena.
+//! The page: one table for each arena, with notes on its columns, commands, versions and dates.
 
-use super::arena::{Arena, Column, Record};
+use super::arena::{Arena, Column, NOTES, Record};
 use super::request::PRESETS;
 use std::fmt::Write as _;
 
 /// The text before the tables.
 const HEAD: &str = "# Results
 
-Written by `cargo run --release -p heliosplat-tests --bin results`; no figure here is written by hand. Most constants and presets
-were chosen on seeds 1 to 3 of `block` and `city`, on the independent city and on JAX_068; some also on seed 11 of `block`, and the cells of
-`preview` on its seeds 11 to 13. Times are wall times of the whole command on a machine that may do other work; memory is the most that its
-process held. `sweep` is the surface before training. What the protocols mean is in
-[guide/evaluate.md](guide/evaluate.md), what was tried in [lab](lab/README.md).
+Errors, times and memory of the presets. `cargo run --release -p heliosplat-tests --bin results` measures and writes this page.
+
+- **Scenes for tuning.** Constants and presets were chosen on `block` and `city` of seeds 1 to 3, on the independent city and on
+  JAX_068, some also on `block` of seed 11. The synthetic scenes below have seeds 11 to 13.
+- **Times** are wall times of the whole command, on a machine that may do other work. **Memory** is the peak of the process.
+- **`sweep`** is the surface before training. [Protocols](guide/evaluate.md#protocols) are defined in the guide; the reasons for the
+  presets are in the [lab](lab/presets.md).
 ";
 
 /// The page.
@@ -28,8 +30,8 @@ pub fn page(records: &[Record]) -> String {
 }
 
 fn section(arena: Arena, records: &[&Record]) -> String {
-    let [title, what, how] = arena.head();
-    let mut text = format!("## {title}\n\n{what}\n\n");
+    let [title, setting, commands] = arena.head();
+    let mut text = format!("## {title}\n\n{setting}\n\n");
     // Writing to a String cannot fail.
     let measured: Vec<&Record> = records.iter().copied().filter(|r| r.not_run.is_none()).collect();
     if measured.is_empty() {
@@ -68,8 +70,12 @@ fn section(arena: Arena, records: &[&Record]) -> String {
             );
         }
     }
-    if !arena.note().is_empty() {
-        let _ = writeln!(text, "\n{}", arena.note());
+    text.push('\n');
+    for (_, note) in NOTES
+        .iter()
+        .filter(|(key, _)| columns.iter().any(|column| column.key == *key))
+    {
+        let _ = writeln!(text, "- {note}");
     }
     let all = |pick: fn(&Record) -> String| {
         let mut values: Vec<String> = measured.iter().map(|r| pick(r)).collect();
@@ -83,7 +89,7 @@ fn section(arena: Arena, records: &[&Record]) -> String {
     let seeds: Vec<String> = seeds.iter().map(u64::to_string).collect();
     let _ = writeln!(
         text,
-        "\nCommands: {how}. Version: {}. Seeds: {}. Date: {}. Machine: {}.",
+        "- Commands: {commands}.\n- Version: {}. Seeds: {}. Date: {}. Machine: {}.",
         all(|r| r.version.clone()),
         seeds.join(", "),
         all(|r| r.date.clone()),
@@ -152,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn what_could_not_be_run_says_why() {
+    fn a_refused_scene_states_its_reason() {
         let refused = Record {
             arena: Arena::Jax068,
             numbers: BTreeMap::new(),
