@@ -14,13 +14,11 @@ use std::path::Path;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match run() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
+    if let Err(error) = run() {
+        eprintln!("error: {error}");
+        return ExitCode::FAILURE;
     }
+    ExitCode::SUCCESS
 }
 
 fn run() -> Result<(), Box<dyn std::error::Error>> {
@@ -38,11 +36,16 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     let heights = dsm.raster.plane(band).to_vec();
     let cell_m = dsm.transform.pixel_size().0 * crs.metres_per_unit();
     let relief = Relief::new((dsm.raster.width, dsm.raster.height), cell_m as f32, heights);
+    let shaded = relief.shadows(azimuth, elevation);
+    let value = |cell: usize| match relief.is_known(cell) {
+        true => f32::from(u8::from(shaded[cell])),
+        false => f32::NAN,
+    };
     let mask = Raster {
         width: relief.width,
         height: relief.height,
         bands: 1,
-        values: mask(&relief, &relief.shadows(azimuth, elevation)),
+        values: (0..shaded.len()).map(value).collect(),
     };
     let spec = ImageSpec {
         band_descriptions: &["shadow"],
@@ -50,19 +53,5 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         ..ImageSpec::plain(&mask)
     };
     write_byte_cog(Path::new(out), &spec, Bytes::Mask)?;
-    let dark = mask.values.iter().filter(|&&value| value == 1.0).count();
-    println!(
-        "{out}: {:.1} % in shadow",
-        100.0 * dark as f64 / mask.values.len() as f64
-    );
     Ok(())
-}
-
-/// 1 in shadow, 0 in the sun, NaN where the height is unknown.
-fn mask(relief: &Relief, shaded: &[bool]) -> Vec<f32> {
-    let value = |(cell, &shaded): (usize, &bool)| match relief.is_known(cell) {
-        true => f32::from(u8::from(shaded)),
-        false => f32::NAN,
-    };
-    shaded.iter().enumerate().map(value).collect()
 }

@@ -3,8 +3,7 @@
 //! Usage: `dsm_from_folder SCENE OUT.tif [LOW,HIGH]` (lowest and highest altitude of the surface, metres above the WGS
 //! 84 ellipsoid; by default from the files of the scene, or from tie points between its images)
 //!
-//! Writes a cloud-optimised GeoTIFF in the local UTM zone, with the cell size of the images, and prints a line about
-//! it.
+//! Writes a cloud-optimised GeoTIFF in the local UTM zone, with the cell size of the images.
 
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::of_surface;
@@ -19,13 +18,11 @@ use std::path::Path;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match run() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
+    if let Err(error) = run() {
+        eprintln!("error: {error}");
+        return ExitCode::FAILURE;
     }
+    ExitCode::SUCCESS
 }
 
 fn run() -> Result<(), Box<dyn Error>> {
@@ -47,13 +44,8 @@ fn run() -> Result<(), Box<dyn Error>> {
     let surface = sweep_only(&scene, &config, &Session::quiet())?;
     let dsm = of_surface(&Place::from(&scene), &surface, scene.gsd_m, None)?;
     dsm.write(Path::new(out))?;
-    println!(
-        "{out}: {} x {} cells of {:.2} m, {:.1} % known",
-        dsm.grid.width,
-        dsm.grid.height,
-        scene.gsd_m,
-        100.0 * dsm.completeness()
-    );
+    let known_percent = 100.0 * dsm.completeness();
+    println!("{out}: cells of {:.2} m, {known_percent:.1} % known", scene.gsd_m);
     Ok(())
 }
 

@@ -12,13 +12,11 @@ use std::path::Path;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match run() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
+    if let Err(error) = run() {
+        eprintln!("error: {error}");
+        return ExitCode::FAILURE;
     }
+    ExitCode::SUCCESS
 }
 
 fn run() -> Result<(), Box<dyn Error>> {
@@ -28,35 +26,25 @@ fn run() -> Result<(), Box<dyn Error>> {
     };
     let camera = camera_of(Path::new(file), RpcPreference::default())?;
     for text in points {
-        println!("{}", there_and_back(&camera, parse(text)?)?);
+        println!("{} {}", text.replace(',', " "), there_and_back(&camera, parse(text)?)?);
     }
     Ok(())
 }
 
+/// Pixel of a point, and the point that the pixel shows at the same height.
 fn there_and_back(camera: &Rpc, point: GeoPoint) -> Result<String, Box<dyn Error>> {
-    let GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m,
-    } = point;
     let pixel = camera.project(point);
     if !(pixel.col.is_finite() && pixel.row.is_finite()) {
-        return Err(format!("{lon_deg} {lat_deg} {height_m} has no place in the image").into());
+        return Err("a point has no place in the image".into());
     }
-    let back = camera.localise(pixel, height_m)?;
-    Ok(format!(
-        "{lon_deg} {lat_deg} {height_m} {:.3} {:.3} {:.9} {:.9}",
-        pixel.col, pixel.row, back.lon_deg, back.lat_deg
-    ))
+    let back = camera.localise(pixel, point.height_m)?;
+    let (lon_deg, lat_deg) = (back.lon_deg, back.lat_deg);
+    Ok(format!("{:.3} {:.3} {lon_deg:.9} {lat_deg:.9}", pixel.col, pixel.row))
 }
 
 fn parse(text: &str) -> Result<GeoPoint, Box<dyn Error>> {
-    let numbers: Vec<f64> = text
-        .split(',')
-        .map(str::parse)
-        .collect::<Result<_, _>>()
-        .unwrap_or_default();
-    let &[lon_deg, lat_deg, height_m] = numbers.as_slice() else {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(str::parse).collect();
+    let Ok(&[lon_deg, lat_deg, height_m]) = numbers.as_deref() else {
         return Err(format!("{text}: expected LON,LAT,ALT").into());
     };
     Ok(GeoPoint {

@@ -7,6 +7,7 @@ use heliosplat_scene::{IngestOptions, Scene};
 use heliosplat_synth::{SatelliteRequest, Site, write_satellite};
 use heliosplat_tests::program::example;
 use heliosplat_tests::scenes::{View, write_altitudes};
+use std::path::{Path, PathBuf};
 
 /// Stdout of a program that must succeed.
 fn stdout(name: &str, arguments: &[&str]) -> String {
@@ -46,10 +47,9 @@ fn projected_points_localise_back_to_where_they_were() {
     }
 }
 
-#[test]
-fn the_surface_model_of_a_folder_is_near_the_truth() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let scene = folder.path().join("scene");
+/// A synthetic scene of six images of the smallest site.
+fn tiny(folder: &Path) -> PathBuf {
+    let scene = folder.join("scene");
     let request = SatelliteRequest {
         site: Site::Tiny,
         seed: 5,
@@ -57,6 +57,13 @@ fn the_surface_model_of_a_folder_is_near_the_truth() {
         ..Default::default()
     };
     write_satellite(&request, &scene, &|_, _| {}).expect("a scene");
+    scene
+}
+
+#[test]
+fn the_surface_model_of_a_folder_is_near_the_truth() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let scene = tiny(folder.path());
     let dsm = folder.path().join("dsm.tif");
     let text = stdout(
         "dsm_from_folder",
@@ -71,6 +78,42 @@ fn the_surface_model_of_a_folder_is_near_the_truth() {
         .expect("comparable")
         .metrics;
     assert!(metrics.all.mae_m < 1.5, "{}", metrics.all.mae_m);
+}
+
+#[test]
+fn presets_are_compared_and_a_run_is_read_without_training() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let scene = tiny(folder.path()).display().to_string();
+    let out = folder.path().display().to_string();
+    let text = stdout("compare_presets", &[scene.as_str(), &out, "preview", "fast"]);
+    let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split_whitespace().collect()).collect();
+    assert_eq!(rows[0], ["preset", "steps", "seconds", "error_m"]);
+    assert_eq!(
+        [rows[1][..2].to_vec(), rows[2][..2].to_vec()],
+        [["preview", "20"], ["fast", "40"]]
+    );
+    let number = |row: usize, column: usize| rows[row][column].parse::<f64>().expect("a number");
+    assert!(number(1, 2) > 0.0 && number(2, 2) > 0.0, "{text}");
+    assert!(number(1, 3) < 1.5 && number(2, 3) < 1.5, "{text}");
+
+    // The second call reads the run and does not repeat the training.
+    let run = format!("{out}/run");
+    let arguments = [scene.as_str(), &run, "preview"];
+    let first = stdout("train_and_read", &arguments);
+    let finished = || std::fs::metadata(format!("{run}/metrics.json")).and_then(|file| file.modified());
+    let before = finished().expect("a finished run");
+    let read = stdout("train_and_read", &arguments);
+    assert_eq!(
+        (read.as_str(), finished().expect("a finished run")),
+        (first.as_str(), before)
+    );
+    let gaussians = read.lines().next().and_then(|line| line.strip_suffix(" Gaussians"));
+    assert!(
+        gaussians.is_some_and(|count| count.parse::<usize>().is_ok_and(|count| count > 1000)),
+        "{read}"
+    );
+    assert!(read.contains("m above the WGS84 ellipsoid"), "{read}");
+    assert!(read.trim_end().ends_with(&format!("error {} m", rows[1][3])), "{read}");
 }
 
 /// A DSM of 60 x 60 cells of 0.5 m: a box of 10 m on level ground, 6 cells from east to west and 20 from north to
@@ -119,12 +162,14 @@ fn the_shadow_of_a_box_is_as_long_as_its_height_and_the_sun_say() {
 }
 
 #[test]
-fn faults_are_told_in_one_line() {
+fn faults_are_one_line() {
     for (name, arguments) in [
         ("project_points", &["no_such_image.tif", "1,2,3"][..]),
         ("project_points", &[]),
         ("dsm_from_folder", &["no_such_folder", "dsm.tif"]),
         ("dsm_from_folder", &["folder", "dsm.tif", "low"]),
+        ("train_and_read", &["no_such_folder", "run"]),
+        ("compare_presets", &["folder", "out", "quick"]),
         ("cast_shadows", &["no_such_dsm.tif", "90", "45", "mask.tif"]),
         ("cast_shadows", &["dsm.tif", "90", "-5", "mask.tif"]),
     ] {
