@@ -387,7 +387,7 @@ pub fn made_and_swept(request: &SceneRequest, folder: &Path) -> Result<Compared,
 }
 
 /// Warnings of scenes without faults: they are too small for many ties.
-const USUAL: [&str; 2] = ["ties do not tell", "acquisition time"];
+const USUAL: [&str; 2] = ["Too few tie points", "acquisition time"];
 
 fn swept(request: &SceneRequest, folder: &Path) -> Result<Compared, String> {
     let mut rng = Pcg32::seed_from_u64(request.seed);

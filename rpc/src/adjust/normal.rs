@@ -100,8 +100,9 @@ impl<const K: usize> NormalEquations<K> {
         }
     }
 
-    /// Steps of the images' parameters; points take theirs.
-    pub(super) fn solve(self, points: &mut [Vector3<f64>]) -> Result<Vec<SVector<f64, K>>, RpcError> {
+    /// Steps of the images' parameters and their joint length; points take theirs. The length is in standard deviations
+    /// of the parameters times that of a sighting: steps along which the ties determine little are short.
+    pub(super) fn solve(self, points: &mut [Vector3<f64>]) -> Result<(Vec<SVector<f64, K>>, f64), RpcError> {
         let images = self.gradient.len() / K;
         let solution = self
             .curvature
@@ -120,7 +121,7 @@ impl<const K: usize> NormalEquations<K> {
             }
             *point += track.inverse * right;
         }
-        Ok(steps)
+        Ok((steps, solution.dot(&self.gradient).max(0.0).sqrt()))
     }
 }
 
@@ -149,7 +150,7 @@ mod tests {
         // The image is held, so that points alone move.
         let now = [Correction::none(100, 100)];
         let system = NormalEquations::<2>::of(&[singular, sound], &weights, &now, &[false]);
-        system.solve(&mut points).expect("a solution");
+        let _ = system.solve(&mut points).expect("a solution");
         assert_eq!(points[0], Vector3::zeros());
         assert!((points[1] - Vector3::x()).norm() < 1e-3, "{}", points[1]);
     }

@@ -21,6 +21,9 @@ const PLAIN_ROUNDS: usize = 3;
 const SCALE_ROUNDS: usize = 10;
 /// Corrections that change by less end the rounds, pixels.
 const LAST_CHANGE_PX: f64 = 5e-4;
+/// Corrections that further rounds would move by less than this part of their joint standard deviation are at rest:
+/// that adds less than a tenth to their variance.
+const REST: f64 = 0.3;
 /// Rounds of triangulation with the cameras held.
 const POINT_ROUNDS: usize = 5;
 /// Tracks that one thread works on at a time, at least.
@@ -91,6 +94,7 @@ impl<'a> BlockAdjustment<'a> {
             .collect();
         let mut weights: Vec<Vec<f64>> = self.tracks.iter().map(|track| own_weights(track)).collect();
         let (mut sigma_px, mut rounds, mut converged) = (f64::NAN, 0, false);
+        let mut moved = f64::INFINITY;
         self.triangulate(&corrections, &weights, &mut points)?;
         for round in 0..options.most_rounds {
             rounds = round + 1;
@@ -101,16 +105,19 @@ impl<'a> BlockAdjustment<'a> {
                 }
                 weights = reweighted(&linear, sigma_px);
             }
-            let steps = NormalEquations::<K>::of(&linear, &weights, &corrections, &self.seen).solve(&mut points)?;
+            let system = NormalEquations::<K>::of(&linear, &weights, &corrections, &self.seen);
+            let (steps, length) = system.solve(&mut points)?;
             let mut largest: f64 = 0.0;
             for (correction, step) in corrections.iter_mut().zip(&steps) {
                 add(correction, step);
                 largest = largest.max(step.amax());
             }
-            converged = round > SCALE_ROUNDS && largest < LAST_CHANGE_PX;
-            if converged {
+            let has_stopped = largest < LAST_CHANGE_PX;
+            converged = round > SCALE_ROUNDS && (has_stopped || distance_left(moved, length) < REST * sigma_px);
+            if converged && has_stopped {
                 break;
             }
+            moved = length;
         }
         self.fix_gauge(&mut corrections, &mut points);
         self.triangulate(&corrections, &weights, &mut points)?;
@@ -234,6 +241,14 @@ fn first_error<T: Send, C: FromIterator<T>>(
 ) -> Result<C, RpcError> {
     let of_tracks: Vec<Result<T, RpcError>> = of_tracks.collect();
     of_tracks.into_iter().collect()
+}
+
+/// Length of all further steps, which shrink as the last one did after the one before it.
+fn distance_left(before: f64, last: f64) -> f64 {
+    match last < before {
+        true => last / (1.0 - last / before),
+        false => f64::INFINITY,
+    }
 }
 
 fn own_weights(track: &Track) -> Vec<f64> {
