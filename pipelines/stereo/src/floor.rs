@@ -87,7 +87,7 @@ fn choose_again(grid: &Grid, found: &mut LevelResult, bonus: u16, parameters: &M
             {
                 *sum = sum.saturating_sub(bonus);
             }
-            *choice = wta::winner(sums, first, heights, tolerance);
+            *choice = wta::winner(sums, first, heights, tolerance, parameters.alternative_cost);
         }
     });
 }
@@ -138,7 +138,7 @@ mod tests {
             grid,
             factor: 1,
             step_m: heights.step_m,
-            choices: wta::winner_takes_all(&ranges, &heights, &sums, 80),
+            choices: wta::winner_takes_all(&ranges, &heights, &sums, 80, parameters.alternative_cost),
             heights,
             ranges,
             sums,

@@ -18,6 +18,7 @@ use super::pairs;
 use super::seen::pixel_of;
 use super::views::ViewGeometry;
 use super::volume::SearchVolume;
+use super::wta::COST_PER_E_FOLD;
 use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 
 /// Views of a piece of ground up to which the parameters for few views are used.
@@ -184,6 +185,9 @@ pub struct MatchingParameters {
     /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump
     /// there.
     pub guide_edge: f32,
+    /// Summed cost by which a height of another minimum is e times less probable than the chosen one: cells along a path
+    /// of the aggregation share the comparisons of their windows, which therefore count as often as a window is wide.
+    pub alternative_cost: f32,
     /// Heights that remain candidates from one search to the next.
     pub candidate_tolerance: CandidateTolerance,
     /// Reduction of the summed cost of the floor beneath an uncertain surface; 0 for none.
@@ -213,6 +217,7 @@ impl MatchingParameters {
             one_step_penalty: ONE_STEP_PENALTY,
             jump_penalty: jump_penalty * smoothness_scale(radius),
             guide_edge: GUIDE_EDGE,
+            alternative_cost: COST_PER_E_FOLD * (2 * radius + 1) as f32,
             candidate_tolerance: CandidateTolerance {
                 full_resolution: between(TOLERANCE_FEW.full_resolution, TOLERANCE_MANY.full_resolution),
                 half_resolution: between(TOLERANCE_FEW.half_resolution, TOLERANCE_MANY.half_resolution),

@@ -212,7 +212,7 @@ impl<'a> Search<'a> {
         drop(part);
         let _part = stage("choose");
         let tolerance = parameters.candidate_tolerance.at(factor);
-        let choices = wta::winner_takes_all(&ranges, &heights, &sums, tolerance);
+        let choices = wta::winner_takes_all(&ranges, &heights, &sums, tolerance, parameters.alternative_cost);
         LevelResult {
             grid,
             factor,

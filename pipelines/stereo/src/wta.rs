@@ -24,17 +24,18 @@ pub(super) struct HeightChoice {
 
 /// Levels next to the best that belong to the same minimum of costs and are no alternative.
 const SAME_VALLEY: usize = 2;
-/// Summed cost by which a level is e times less probable than another: with it, and the spread of altitudes around a
-/// cell, about 68 % of the errors on `block` and `tiny`, seed 1, lie within one deviation (docs/lab/known.md).
-const COST_PER_E_FOLD: f32 = 30.0;
+/// Summed cost by which a level is e times less probable than another of one minimum: with it, and the spread of altitudes
+/// around a cell, about 68 % of the errors on `block` and `tiny`, seed 1, lie within one deviation (docs/lab/known.md).
+pub(super) const COST_PER_E_FOLD: f32 = 30.0;
 
 /// Chooses an altitude for every cell. Local minima whose summed cost lies at most `tolerance` above the least stay
-/// candidates for the next search.
+/// candidates for the next search. A level of another minimum is e times less probable for each `alternative_cost` more.
 pub(super) fn winner_takes_all(
     ranges: &SearchRanges,
     heights: &HeightHypotheses,
     sums: &[u16],
     tolerance: u16,
+    alternative_cost: f32,
 ) -> Vec<HeightChoice> {
     (0..ranges.low.len())
         .into_par_iter()
@@ -44,13 +45,20 @@ pub(super) fn winner_takes_all(
                 usize::from(ranges.low[cell]),
                 heights,
                 tolerance,
+                alternative_cost,
             )
         })
         .collect()
 }
 
 /// The winner of one cell, whose first level is `low`.
-pub(super) fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, tolerance: u16) -> HeightChoice {
+pub(super) fn winner(
+    sums: &[u16],
+    low: usize,
+    heights: &HeightHypotheses,
+    tolerance: u16,
+    alternative_cost: f32,
+) -> HeightChoice {
     let mut best = 0;
     for (level, sum) in sums.iter().enumerate() {
         if *sum < sums[best] {
@@ -82,7 +90,7 @@ pub(super) fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, toler
     let Posterior {
         deviation_levels,
         probability,
-    } = Posterior::new(sums, best, fraction);
+    } = Posterior::new(sums, best, fraction, alternative_cost);
     HeightChoice {
         altitude_m: heights.altitude((low + best) as f32 + fraction),
         deviation_m: heights.step_m * deviation_levels,
@@ -95,8 +103,8 @@ pub(super) fn winner(sums: &[u16], low: usize, heights: &HeightHypotheses, toler
     }
 }
 
-/// Posterior of the chosen level, from the summed costs of a cell as negative logarithms of probabilities in units of
-/// [`COST_PER_E_FOLD`].
+/// Posterior of the chosen level, from the summed costs of a cell as negative logarithms of probabilities: in units of
+/// [`COST_PER_E_FOLD`] within its own minimum, of `alternative_cost` elsewhere.
 struct Posterior {
     /// Root mean square distance from the chosen altitude, height steps.
     deviation_levels: f32,
@@ -105,15 +113,17 @@ struct Posterior {
 }
 
 impl Posterior {
-    fn new(sums: &[u16], best: usize, fraction: f32) -> Self {
+    fn new(sums: &[u16], best: usize, fraction: f32, alternative_cost: f32) -> Self {
         let chosen = best as f32 + fraction;
         let (mut all, mut near, mut squares) = (0.0f32, 0.0f32, 0.0f32);
         for (level, &sum) in sums.iter().enumerate() {
-            let weight = (-f32::from(sum - sums[best]) / COST_PER_E_FOLD).exp();
+            let own = level.abs_diff(best) <= SAME_VALLEY;
+            let per_e_fold = if own { COST_PER_E_FOLD } else { alternative_cost };
+            let weight = (-f32::from(sum - sums[best]) / per_e_fold).exp();
             let away = level as f32 - chosen;
             all += weight;
             squares += weight * away * away;
-            if level.abs_diff(best) <= SAME_VALLEY {
+            if own {
                 near += weight;
             }
         }
@@ -133,10 +143,10 @@ mod tests {
         let heights = HeightHypotheses::new(0.0, 10.0, 0.5);
         let mut sums = [2000u16; 21];
         sums[4] = 200;
-        let sure = winner(&sums, 0, &heights, 80);
+        let sure = winner(&sums, 0, &heights, 80, COST_PER_E_FOLD);
         assert!(sure.probability > 0.999 && sure.deviation_m < 0.01, "{sure:?}");
         sums[16] = 200;
-        let torn = winner(&sums, 0, &heights, 80);
+        let torn = winner(&sums, 0, &heights, 80, COST_PER_E_FOLD);
         assert!((torn.probability - 0.5).abs() < 1e-3, "{torn:?}");
         // Half of the probability lies twelve steps away.
         assert!((torn.deviation_m - 6.0 * 0.5f32.sqrt()).abs() < 1e-2, "{torn:?}");
@@ -145,7 +155,21 @@ mod tests {
     #[test]
     fn costs_that_say_nothing_leave_the_whole_range_in_doubt() {
         let heights = HeightHypotheses::new(0.0, 10.0, 0.5);
-        let flat = winner(&[1000; 21], 0, &heights, 80);
+        let flat = winner(&[1000; 21], 0, &heights, 80, COST_PER_E_FOLD);
         assert!(flat.probability < 0.2 && flat.deviation_m > 5.0, "{flat:?}");
+    }
+
+    #[test]
+    fn an_alternative_counts_more_where_neighbours_share_their_comparisons() {
+        let heights = HeightHypotheses::new(0.0, 20.0, 1.0);
+        let mut sums = [1000u16; 21];
+        (sums[5], sums[15]) = (400, 490);
+        let alone = winner(&sums, 0, &heights, 80, COST_PER_E_FOLD);
+        let shared = winner(&sums, 0, &heights, 80, 5.0 * COST_PER_E_FOLD);
+        assert_eq!(alone.altitude_m, shared.altitude_m);
+        // Odds of e^3 and of e^(3/5) to one.
+        assert!((alone.probability - 0.953).abs() < 0.001, "{alone:?}");
+        assert!(shared.probability > 0.5 && shared.probability < 0.65, "{shared:?}");
+        assert!(shared.deviation_m > 2.0 * alone.deviation_m, "{shared:?}");
     }
 }
