@@ -114,9 +114,9 @@ impl BandSet {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fault {
-    /// Each band has a gain of its own, the same in all images to within some per cent: counts are not calibrated.
+    /// A gain for each band, almost the same in all images: counts are not calibrated.
     BandGains,
-    /// A layer of haze, another on each date: airlight that is stronger in blue, less contrast, softer shadows' depth.
+    /// A layer of haze that differs by date: airlight that is stronger in blue, less contrast, brighter shadows.
     Haze,
     /// Light that surfaces reflect reaches other surfaces: one bounce instead of that of an average neighbourhood.
     Interreflection,
@@ -137,9 +137,9 @@ pub type Faults = BTreeSet<Fault>;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Cover {
-    /// Sea at one altitude, whose waves are others in every image.
+    /// Sea at one altitude, with other waves in every image.
     Sea,
-    /// Snow on the ground and on roofs: bright, hardly any texture, clipped where the sun is on it.
+    /// Snow on the ground and on roofs: bright, almost no texture, clipped in the sun.
     Snow,
     /// The land of `sea` alone: the same scene, with pixels that see the sea missing (0).
     Nodata,

@@ -70,14 +70,14 @@ impl Batch<'_> {
         }
         let done = rows.iter().filter(|row| row.state == State::Skipped).count();
         tracing::info!(
-            "batch: {} units, {done} of them finished before; up to {} at a time",
+            "Batch of {} units, {done} of them finished; up to {} at a time",
             units.len(),
             self.jobs
         );
         let others: Vec<String> = units.iter().filter_map(|unit| other_build(self.out, unit)).collect();
         if let Some(other) = others.first() {
             tracing::warn!(
-                "{} units were done by another build of the program ({other}, this is {}) and are done again",
+                "{} units of another build of the program ({other}; this is {}) are run again",
                 others.len(),
                 build()
             );

@@ -16,10 +16,10 @@ const SCENE: &str = "Scene options";
 /// Facts of a scene that its files do not state.
 #[derive(Debug, Clone, Args)]
 pub struct IngestArgs {
-    /// Lowest and highest altitude of the surface, metres above the ellipsoid
+    /// Lowest and highest altitude of the surface, metres above the ellipsoid [default: from tie points]
     #[arg(long, help_heading = SCENE, value_name = "MIN,MAX", value_parser = parse::pair, allow_hyphen_values = true)]
     pub altitude: Option<[f64; 2]>,
-    /// Only this piece of ground: longitudes and latitudes, or with EPSG:N at the end coordinates of that system
+    /// Limits of the ground: longitudes and latitudes, or coordinates of EPSG:N
     #[arg(long, help_heading = SCENE, value_name = "WEST,SOUTH,EAST,NORTH[,EPSG:N]", value_parser = parse::area, allow_hyphen_values = true)]
     pub area: Option<AreaRequest>,
     /// Preferred source of an image's camera

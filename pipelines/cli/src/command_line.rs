@@ -29,7 +29,7 @@ static VERSION: LazyLock<String> = LazyLock::new(|| {
 /// Heading of the options of every verb.
 const GENERAL: &str = "General options";
 
-/// Real satellite images in, a surface model for GIS out.
+/// Surface models and relit images from satellite images of several dates
 #[derive(Debug, Parser)]
 #[command(name = "heliosplat", version = VERSION.as_str(), max_term_width = 110, subcommand_required = true)]
 #[command(after_help = "Example: heliosplat demo --out demo")]
@@ -67,32 +67,32 @@ pub enum Command {
                             heliosplat synth object --out toy --size 200 --views 30"
     )]
     Synth(synth::SynthArgs),
-    /// Show what a scene is: cameras and their fit, suns, bands, overlap, truth
+    /// Show the images, cameras, suns, bands, overlap, altitudes and decisions of a scene
     #[command(after_help = "Example: heliosplat inspect my_images --altitude 640,780")]
     Inspect(inspect::InspectArgs),
-    /// Correct the cameras of a scene so that its images agree
+    /// Correct the cameras of a scene by tie points
     #[command(after_help = "Example: heliosplat adjust my_images --out adjusted --images")]
     Adjust(adjust::AdjustArgs),
-    /// Train a model of a scene
+    /// Train a model of a scene, and write its surface model and report
     #[command(
         after_help = "Examples: heliosplat train my_images --out run --preset balanced --time-budget 10m\n          \
                             heliosplat train a.tif b.tif c.tif --out run\n          \
                             heliosplat train nerf_synthetic/lego --out run"
     )]
     Train(model_args::TrainArgs),
-    /// Write the surface model of a run, or that of a scene's sweep, as a cloud-optimised GeoTIFF
+    /// Write the surface model of a run, or of a scene without training, as a cloud-optimised GeoTIFF
     #[command(
         after_help = "Examples: heliosplat dsm run --out dsm.tif --gsd 0.5 --crs EPSG:32637\n          \
                             heliosplat dsm my_images --from sweep --out quick.tif\n          \
                             heliosplat dsm a.tif b.tif --out quick.tif --geoid egm96"
     )]
     Dsm(model_args::DsmArgs),
-    /// Write all that a run gives to a GIS: cloud-optimised GeoTIFFs, a point cloud, and a STAC item that describes them
+    /// Write all files for a GIS: cloud-optimised GeoTIFFs, a point cloud, a STAC item
     #[command(after_help = "Examples: heliosplat products run --sun 250,35\n          \
                             heliosplat products run --sun-hours 2026-06-01/2026-08-31\n          \
                             heliosplat products north south --out catalogue --geoid egm96")]
     Products(products::ProductsArgs),
-    /// Write the page of a run: images, surface, shadows, errors, curves, plan, time and memory
+    /// Write the report of a run: images, surface, shadows, errors, decisions, time and memory
     #[command(after_help = "Example: heliosplat report run")]
     Report(report::ReportArgs),
     /// Write the scene under another sun, and its shadow mask
@@ -102,12 +102,12 @@ pub enum Command {
                             heliosplat relight object_run --out lit.png --light 2,1,3 --view test/near_000"
     )]
     Relight(model_args::RelightArgs),
-    /// Write a page on which the sun can be moved over a surface: one file for any browser, without network
+    /// Write a page with a movable sun over a surface: one file for any browser, without network
     #[command(after_help = "Examples: heliosplat view run\n          \
                             heliosplat view run --out sun.html\n          \
                             heliosplat view --dsm dsm.tif --albedo ortho.tif --out sun.html")]
     View(view::ViewArgs),
-    /// Render the views of a run; those of satellites each with its shadow mask
+    /// Render the images of a run; of a satellite scene with their shadow masks
     #[command(after_help = "Example: heliosplat render run --out rendered --split test")]
     Render(model_args::RenderArgs),
     /// Write splats, meshes and tiles of a run for viewers, editors and globes
@@ -123,24 +123,24 @@ pub enum Command {
     #[command(after_help = "Examples: heliosplat evaluate run\n          \
                             heliosplat evaluate --dsm dsm.tif --truth lidar.tif --protocol aligned --json")]
     Evaluate(evaluate_args::EvaluateArgs),
-    /// Use an image's RPC camera by hand
+    /// Project points into an image, and localise pixels on the ground
     #[command(after_help = "Example: echo '36.91 37.58 700' | heliosplat rpc project image.tif")]
     Rpc(rpc::RpcArgs),
     /// Compute the position of the sun: azimuth and geometric elevation, degrees
     #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --place 37.58,36.91,700")]
     Sun(sun::SunArgs),
-    /// Train scenes in many ways: what time, memory and each component buy
+    /// Measure errors against time, memory and components of the model
     #[command(
         after_help = "Example: heliosplat tradeoff my_images --out tradeoff --only preset,steps\n\n\
-                            All points take hours; --list shows them. The same command goes on where it was stopped."
+                            All points take hours; --list shows them. The same command continues an interrupted one."
     )]
     Tradeoff(tradeoff::TradeoffArgs),
-    /// Train many areas, cut into tiles, and merge them: a manifest of areas, images and presets
+    /// Train many areas in tiles and merge the tiles, as a manifest lists them
     #[command(after_help = "Examples: heliosplat batch city.toml --out city --jobs 2\n          \
                             heliosplat batch city.toml --out city --plan --json\n\n\
-                            The same command goes on where it was stopped. The manifest: docs/guide/batch.md.")]
+                            The same command continues an interrupted batch. The manifest: docs/guide/batch.md.")]
     Batch(batch::BatchArgs),
-    /// Measure the rates of this machine: cameras, splats, light, whole steps; under a minute
+    /// Measure the speed of this machine: cameras, splats, light, whole steps; under a minute
     #[command(after_help = "Example: heliosplat bench --json")]
     Bench,
     /// Print the completions of a shell
@@ -238,7 +238,7 @@ fn report(error: &CliError, json: bool) {
 }
 
 fn report_json(line: &str, exit_code: u8) {
-    // Where stdout cannot be written, the line on stderr has said it.
+    // The line on stderr is the report if stdout cannot be written.
     let _ = print_line(&serde_json::json!({ "error": line, "exit_code": exit_code }).to_string());
 }
 

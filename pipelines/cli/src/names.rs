@@ -1,4 +1,4 @@
-//! Choices of the command line, by name: what the libraries below know as enums of their own.
+//! Choices of the command line by name, for enums of the libraries.
 
 use clap::ValueEnum;
 
@@ -24,7 +24,7 @@ macro_rules! names {
 names! {
     /// Trade-off of training time against quality.
     PresetName for heliosplat_fitting::settings::Preset {
-        /// Seconds: do the images fit together at all? Of satellite scenes only.
+        /// Seconds, to check cameras, altitudes and suns (satellite scenes).
         Preview,
         /// A first look.
         Fast,
@@ -32,7 +32,7 @@ names! {
         Balanced,
         /// Smaller errors.
         Accurate,
-        /// As good as it gets. Of satellite scenes only.
+        /// Smallest errors, twice the time of accurate (satellite scenes).
         Best,
     }
 }
@@ -64,13 +64,13 @@ names! {
 names! {
     /// Registration of a prediction to the truth before it is measured.
     ProtocolName for heliosplat_evaluate::Protocol {
-        /// Not at all.
+        /// None.
         Raw,
-        /// Integer shift and mean height; water out of registration and metric.
+        /// Integer shift and mean height; water left out of both.
         Aligned,
-        /// Integer shift and mean height; water out of the metric only.
+        /// Integer shift and mean height; water left out of the metric.
         AlignedWater,
-        /// Sub-pixel shift and mean height; water out of registration and metric.
+        /// Sub-pixel shift and mean height; water left out of both.
         Subpixel,
     }
 }

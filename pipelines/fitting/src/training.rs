@@ -143,7 +143,7 @@ pub fn train<P: Clone + Serialize>(
         if report.step == FIRST_REPORT || report.step % REPORT_EVERY == 0 {
             let gaussians = grouped(report.gaussians);
             let left_s = pace.step_s() * steps.saturating_sub(report.step) as f64;
-            tracing::info!("training: step {} of {steps}, about {left_s:.0} s left", report.step);
+            tracing::info!("Step {} of {steps}, about {left_s:.0} s left", report.step);
             tracing::debug!("L1 {l1:.4}, {gaussians} Gaussians");
         }
         checkpoints.step_done(&trainer);

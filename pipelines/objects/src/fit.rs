@@ -102,7 +102,7 @@ pub fn fit(
     )?;
     if let Some(checkpoint) = checkpoint {
         tracing::info!(
-            "training continues after step {} of {steps}",
+            "Training continues after step {} of {steps}",
             checkpoint.trainer.steps()
         );
         checkpoints.log = checkpoint.log;

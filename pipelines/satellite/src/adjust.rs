@@ -77,7 +77,7 @@ impl AdjustInput<'_> {
                 full.rounds
             );
         }
-        tracing::info!("cameras adjusted: {} ties, {:.2} px", full.points.len(), full.sigma_px);
+        tracing::info!("Cameras adjusted by {} tie points, residual {:.2} px", full.points.len(), full.sigma_px);
         Ok((full, tracks))
     }
 

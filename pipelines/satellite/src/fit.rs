@@ -256,7 +256,7 @@ impl FitRequest<'_> {
         let options = start.options.clone();
         let mut trainer = Trainer::new(model, views, parameters, options, bounds, Some(self.nadir()))?;
         if let Some(state) = state {
-            tracing::info!("training is resumed at step {} of {steps}", state.steps());
+            tracing::info!("Training continues after step {} of {steps}", state.steps());
             let restored = trainer.restore(state).map_err(|error| checkpoints.does_not_fit(&error));
             restored.map_err(TrainingError::from)?;
         }

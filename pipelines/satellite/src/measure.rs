@@ -399,7 +399,7 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
         number("/rejected_steps").filter(|&n| n > 0.0),
         "(numbers that were not finite)",
     );
-    add("start MAE", number("/start/mae_m"), "m (raw, the initial surface)");
+    add("start MAE", number("/start/mae_m"), "m (raw, plane sweep before training)");
     add("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
     add(
         "DSM MAE",
@@ -411,13 +411,13 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
     add(
         "... traced",
         number("/shadow/traced/ber").map(|b| 100.0 * b),
-        "% (from geometry alone)",
+        "% (without the image)",
     );
     add("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
     add(
         "reopened",
         number("/lowered/area_m2").filter(|&area| area > 0.0),
-        "m² of shaded courtyards and alleys, after matching",
+        "m² of shaded courtyards and alleys",
     );
     add(
         "changed",

@@ -191,7 +191,7 @@ impl Decisions {
             set(
                 SHADOW_PRIOR,
                 false,
-                "no sun is known: shadows cannot be traced to their casters".into(),
+                "no sun is known: shadows cannot be traced".into(),
             );
             decisions.shadow_prior = false;
             decisions.opaqueness_weight = 0.0;
@@ -243,7 +243,7 @@ impl Decisions {
                 images >= FEWEST_VIEWS,
                 if images >= FEWEST_VIEWS {
                     format!(
-                        "{images} views: areas much brighter in one view than the sunlit ground in the others are clouds, and left out"
+                        "{images} views: areas much brighter than the sunlit ground of the other views are left out as clouds"
                     )
                 } else {
                     format!("{images} views are too few to separate clouds from ground")
@@ -258,7 +258,7 @@ impl Decisions {
                     None => "an image has no date: changes cannot be ordered in time".into(),
                     Some(0) => "no day has two images before and two after it, as a surface needs".into(),
                     Some(days) => format!(
-                        "{days} day(s) with two or more images on either side: ground that was built on or torn down is searched"
+                        "{days} possible days of change with two images before and after: searching changed buildings"
                     ),
                 },
             ),
@@ -283,10 +283,10 @@ impl Decisions {
                 images < ENOUGH_VIEWS,
                 if images < ENOUGH_VIEWS {
                     format!(
-                        "{images} views are few for shadows: dark places with a structure toward the sun guide training"
+                        "{images} views are few: dark pixels with an object toward the sun guide the shadows"
                     )
                 } else {
-                    format!("{images} views: enough to determine shadows from the geometry")
+                    format!("{images} views: enough to find shadows from the geometry alone")
                 },
             ),
             item(
@@ -308,13 +308,13 @@ impl Decisions {
             item(
                 "model.near_light",
                 self.near_light,
-                "near-surface light per Gaussian, where shadows have a colour of their own".into(),
+                "coloured light in shadows, per Gaussian; only by --set".into(),
             ),
             item(
                 "model.sh_degree",
                 self.sh_degree > 0,
                 match self.sh_degree {
-                    0 => "one albedo per Gaussian and band, the same from everywhere".into(),
+                    0 => "one albedo per Gaussian and band, the same in all directions".into(),
                     degree => format!("albedo may change with the viewing direction, to degree {degree}"),
                 },
             ),
@@ -343,13 +343,13 @@ fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<Matc
             many_views,
             facts.views > FEW_VIEWS,
             format!(
-                "{:.1} views of a piece of ground: no match weighs {:.1} % of their comparisons, a jump of altitude costs {}, {}",
+                "{:.1} views per cell on average: outlier weight {:.1} %, penalty of a height step {}, {}",
                 facts.views,
                 100.0 * no_match_weight(facts.views),
                 parameters.jump_penalty,
                 match parameters.same_date_weight {
-                    Some(weight) => format!("pixel values within a date are compared with weight {weight:.2}"),
-                    None => "pixel values are not compared".into(),
+                    Some(weight) => format!("pixel values of one date compared with weight {weight:.2}"),
+                    None => "pixel values not compared".into(),
                 }
             ),
         ),
@@ -357,7 +357,7 @@ fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<Matc
             aggregation,
             parameters.aggregation_radius > 0,
             format!(
-                "combined base-to-height ratio {:.2} of {:.1} views: {}",
+                "base-to-height ratio {:.2} of {:.1} views: {}",
                 facts.combined_base_to_height,
                 facts.views,
                 windows(&parameters)
@@ -370,14 +370,14 @@ fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<Matc
 fn windows(parameters: &MatchingParameters) -> String {
     let side = |radius: usize| 2 * radius + 1;
     if parameters.aggregation_radius == 0 {
-        return "costs are those of single cells, the surface is not smoothed".into();
+        return "matching by single cells, no smoothing".into();
     }
     let adaptive = match parameters.adaptive_plane_radius {
-        Some(least) => format!(" and then over {0} x {0} or more where confidence is low", side(least)),
+        Some(least) => format!(", {0} x {0} or more at low confidence", side(least)),
         None => String::new(),
     };
     format!(
-        "costs are averaged over {0} x {0} cells, the surface is smoothed by planes over {1} x {1}{adaptive}",
+        "costs averaged over {0} x {0} cells, smoothing by planes over {1} x {1}{adaptive}",
         side(parameters.aggregation_radius),
         side(parameters.plane_radius),
     )
@@ -387,7 +387,7 @@ fn windows(parameters: &MatchingParameters) -> String {
 fn pointing_reason(align: Align) -> String {
     let method = "one shift per image is estimated from tie points";
     match align {
-        Align::Auto => format!("{method}, and all are used where the largest exceeds {THRESHOLD_PX} px"),
+        Align::Auto => format!("{method}; used if the largest exceeds {THRESHOLD_PX} px"),
         Align::On => format!("{method}, and used"),
         Align::Off => "the cameras are used as they are".into(),
     }

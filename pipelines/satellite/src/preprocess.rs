@@ -78,7 +78,7 @@ impl<'a> Preprocess<'a> {
         drop(part);
         if decisions.clouds && shifts_px.iter().flatten().any(|shift| shift.abs() > CLOUDS_AGAIN_PX) {
             let _part = stage("clouds");
-            tracing::info!("clouds are searched again with the cameras corrected");
+            tracing::info!("Searching clouds again with the corrected cameras");
             (rasters, clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
         }
         clouds::say(&ground, &clouds, &contradicting);
@@ -259,7 +259,7 @@ pub(super) fn lower(
 pub(super) fn log_lowered(lowered: &Lowered) {
     if lowered.parts > 0 {
         tracing::info!(
-            "{} shaded courtyards or alleys ({:.0} m²) reopened after matching",
+            "Reopened {} shaded courtyards or alleys ({:.0} m²)",
             lowered.parts,
             lowered.area_m2
         );
@@ -298,7 +298,7 @@ pub fn open_and_sweep(
         let Some(range_m) = wider.filter(|_| scene.altitude_known_from == AltitudeSource::Ties) else {
             break;
         };
-        tracing::info!("searched again from {:.0} to {:.0} m", range_m.0, range_m.1);
+        tracing::info!("Sweeping again from {:.0} to {:.0} m: the surface touched a limit", range_m.0, range_m.1);
         let options = IngestOptions {
             altitude_from_ties_m: Some(range_m),
             ..options.clone()

@@ -25,7 +25,7 @@ pub struct AdjustArgs {
     /// Error model of the cameras
     #[arg(long, value_enum, default_value = "translation")]
     pub model: BiasName,
-    /// Also write copies of the images with the corrected camera in their GeoTIFF tag: the folder is then a scene
+    /// Also copy the images, with corrected cameras in their GeoTIFF tags: the folder is then a scene
     #[arg(long)]
     pub images: bool,
     /// Scene options
@@ -33,7 +33,7 @@ pub struct AdjustArgs {
     pub ingest: IngestArgs,
 }
 
-/// Adjusts the cameras of a scene and writes what comes of it.
+/// Adjusts the cameras of a scene and writes them.
 pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
     let options = args.ingest.options();
     let index = Index::open(&args.scene, options.rpc)?;

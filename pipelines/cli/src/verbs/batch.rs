@@ -1,4 +1,4 @@
-//! `heliosplat batch`: arguments, and which of its ways is gone.
+//! `heliosplat batch`: arguments, and the choice between plan, units and summary.
 
 use crate::outcome::{CliError, Outcome};
 use crate::parse;
@@ -21,22 +21,22 @@ pub struct BatchArgs {
     /// A manifest of areas, images and presets (docs/guide/batch.md)
     #[arg(value_name = "MANIFEST.toml")]
     pub manifest: PathBuf,
-    /// Folder for all units, summary.csv, summary.json and summary.html; what is finished there is not done again
+    /// Folder for all units, summary.csv, summary.json and summary.html; finished units are kept
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Units at a time; threads are shared between them
+    /// Number of units at a time, which share the threads
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub jobs: u16,
-    /// Do this unit only; what it waits for must be finished
+    /// Run this unit alone; units that it depends on must be finished
     #[arg(long, value_name = "UNIT", conflicts_with_all = ["plan", "dry_run", "summary"])]
     pub only: Option<String>,
     /// Print the units with their memory, time and order, and stop
     #[arg(long, conflicts_with_all = ["dry_run", "summary"])]
     pub plan: bool,
-    /// Print what would be done, and stop
+    /// Print the unfinished units, and stop
     #[arg(long, conflicts_with = "summary")]
     pub dry_run: bool,
-    /// Only write the summary of what is finished, whoever did it
+    /// Write the summary of the finished units, and stop
     #[arg(long)]
     pub summary: bool,
     /// Time between two checkpoints of a training; 0 keeps one after every step
@@ -47,7 +47,7 @@ pub struct BatchArgs {
     pub attended: bool,
 }
 
-/// Plans, does, or sums up a batch.
+/// Plans, runs or summarises a batch.
 pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -> Result<Outcome, CliError> {
     if args.attended {
         session.stop_with_input();

@@ -1,4 +1,4 @@
-//! `heliosplat demo`: a site is made, trained on, and its products are written.
+//! `heliosplat demo`: synthesises a site, trains on it, and writes its surface model.
 
 use crate::outcome::{CliError, Outcome};
 use clap::Args;
@@ -72,7 +72,7 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
     let folder = args.out.display();
     Ok(Outcome {
         text: format!(
-            "{}\nDSM            {folder}/run/dsm.tif   (open it in QGIS)\npicture        {folder}/run/dsm.png\nerrors         {folder}/run/error.png\nanother sun    {folder}/evening.png\nany sun        {folder}/run/sun.html   (open it in a browser)\nmean absolute error against truth: {mae:.3} m (protocol raw)",
+            "{}\nreport         {folder}/run/report.html   (open it in a browser)\nDSM            {folder}/run/dsm.tif   (open it in QGIS)\npicture        {folder}/run/dsm.png\nerrors         {folder}/run/error.png\nanother sun    {folder}/evening.png\nany sun        {folder}/run/sun.html   (open it in a browser)\nmean absolute error against truth: {mae:.3} m (protocol raw)",
             measure::summary(&metrics)
         ),
         json: metrics,

@@ -25,16 +25,16 @@ pub struct EvaluateArgs {
     /// LAS classes on the truth's grid
     #[arg(long, value_name = "FILE", requires = "truth")]
     pub classes: Option<PathBuf>,
-    /// Registration of the DSM to the truth before it is measured
+    /// Registration of the DSM to the truth before the comparison
     #[arg(long, value_name = "NAME", default_value = "raw")]
     pub protocol: ProtocolName,
-    /// Folder of images from above under suns that no image had (`relit.json`, `relit_K.tif`, `relit_K_shadow.tif`) [default: the scene's own]
+    /// Folder with truth of relit images (`relit.json`, `relit_K.tif`, `relit_K_shadow.tif`) [default: that of the scene]
     #[arg(long, value_name = "FOLDER", requires = "run", conflicts_with = "truth")]
     pub relit: Option<PathBuf>,
-    /// Write a picture of the errors (PNG, blue too low, red too high, 5 m)
+    /// Picture of the errors to write (PNG; blue 5 m too low, red 5 m too high)
     #[arg(long, value_name = "FILE")]
     pub error_map: Option<PathBuf>,
-    /// Write a picture of the DSM's standard deviations beside its errors (SVG)
+    /// Chart of standard deviations against errors to write (SVG)
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! `heliosplat inspect`: what a scene is, before anything is done with it.
+//! `heliosplat inspect`: content of a scene, and decisions about it, before training.
 
 use super::object;
 use crate::args::{IngestArgs, NamedScene};
@@ -16,7 +16,7 @@ use std::path::PathBuf;
 /// Scene to inspect.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
+    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or a capture with transforms_train.json
     #[arg(value_name = "SCENE", required = true)]
     scene: Vec<PathBuf>,
     #[command(flatten)]

@@ -16,10 +16,10 @@ use std::time::{Duration, Instant};
 /// `train`.
 #[derive(Debug, Clone, Args)]
 pub struct TrainArgs {
-    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or one with transforms_train.json
+    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or a capture with transforms_train.json
     #[arg(value_name = "SCENE", required = true)]
     pub scenes: Vec<PathBuf>,
-    /// The scene that these are.
+    /// Path of the scene that `scenes` form.
     #[arg(skip)]
     pub scene: PathBuf,
     /// Folder of the run, made if absent
@@ -34,16 +34,16 @@ pub struct TrainArgs {
     /// Stay below this much memory, such as 4GiB or 500MB
     #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
     pub memory: Option<u64>,
-    /// Seed of everything random
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Change one value of the configuration, as in --set train.iterations=2000
+    /// Change one setting, as in --set train.iterations=2000 (docs/guide/settings.md)
     #[arg(long = "set", value_parser = parse::key_value, value_name = "KEY=VALUE")]
     pub set: Vec<(String, String)>,
-    /// Replace what an earlier training left in RUN, finished or interrupted
+    /// Replace an earlier training in RUN, finished or interrupted
     #[arg(long)]
     pub overwrite: bool,
-    /// Leave this training as it is where RUN holds it finished; interrupted, it continues without being asked
+    /// Keep RUN if this training is finished there; an interrupted one continues without this option
     #[arg(long, conflicts_with = "overwrite")]
     pub resume: bool,
     /// Time between two checkpoints; 0 keeps one after every step
@@ -68,10 +68,10 @@ impl TrainArgs {
 /// `dsm`.
 #[derive(Debug, Clone, Args)]
 pub struct DsmArgs {
-    /// A finished run; with --from sweep a scene, as `train` takes it. Several image files are swept
+    /// A finished run; with --from sweep a scene, as for `train`; several image files are swept
     #[arg(value_name = "RUN", required = true)]
     pub runs: Vec<PathBuf>,
-    /// The run or scene that these are.
+    /// Path of the run or scene that `runs` form.
     #[arg(skip)]
     pub run: PathBuf,
     /// The GeoTIFF to write
@@ -86,16 +86,16 @@ pub struct DsmArgs {
     /// Coordinate reference system [default: the local UTM zone]; +5773 or +3855 for heights above EGM96 or EGM2008
     #[arg(long, value_name = "EPSG:N[+M]")]
     pub crs: Option<String>,
-    /// The surface as it stands on this day, where something changed between the images [default: that of the last image]
+    /// Surface of this day, if buildings changed between the images [default: day of the last image]
     #[arg(long, alias = "at", value_parser = parse::date, value_name = "DATE")]
     pub date: Option<jiff::civil::Date>,
-    /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's
+    /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's data files
     #[arg(long, value_enum, value_name = "NAME")]
     pub geoid: Option<GeoidName>,
-    /// Close holes with the lower of the altitudes around them; closed cells have a coverage and views of 0 and no standard deviation
+    /// Close holes with the lower of the altitudes around them; filled cells have coverage 0, views 0 and no standard deviation
     #[arg(long)]
     pub fill: bool,
-    /// With --from sweep, stay below this much memory, such as 4GiB: a scene that takes more is swept in tiles [default: half of the machine's]
+    /// With --from sweep: memory limit, such as 4GiB; larger scenes are swept in tiles [default: half of the machine's memory]
     #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
     pub memory: Option<u64>,
     /// Scene options
@@ -108,7 +108,7 @@ pub struct DsmArgs {
 pub enum DsmSource {
     /// The trained model of a run.
     Model,
-    /// The object-space sweep of a scene, in seconds and without training.
+    /// The plane sweep of a scene, in seconds and without training.
     Sweep,
 }
 
@@ -136,10 +136,10 @@ pub struct RelightArgs {
     /// Light from all around an object: an image of all directions (PNG, JPEG or EXR), up at the top, +x in the middle
     #[arg(long, value_name = "FILE", conflicts_with_all = ["sun", "time"])]
     pub surroundings: Option<PathBuf>,
-    /// Lamps that stand for the light from all around
+    /// Number of parallel lights drawn from the surroundings
     #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..=65536), requires = "surroundings")]
     pub samples: u32,
-    /// From above (nadir), or as the image of this name saw it; of an object the first image if nothing is said
+    /// From above (nadir), or in the geometry of the image of this name; for objects the default is the first image
     #[arg(long, value_name = "nadir|NAME", default_value = "nadir")]
     pub view: String,
 }
@@ -153,10 +153,10 @@ pub struct RenderArgs {
     /// Folder to write to
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Views to render
+    /// Images to render
     #[arg(long, value_enum, default_value = "test")]
     pub split: RenderSplit,
-    /// Also write the parts of the light, where a model knows them: diffuse, specular, shadow
+    /// Also write the parts of the light that the model has: diffuse, specular, shadow
     #[arg(long)]
     pub components: bool,
 }
@@ -187,11 +187,11 @@ impl TrainArgs {
 /// Views to render.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum RenderSplit {
-    /// Those trained on.
+    /// Training images.
     Train,
-    /// Those held out.
+    /// Held-out images.
     Test,
-    /// All.
+    /// All images.
     All,
 }
 

@@ -34,7 +34,7 @@ pub struct ProductsArgs {
     /// Coordinate reference system [default: the local UTM zone]; +5773 or +3855 as --geoid egm96 or egm2008
     #[arg(long, value_name = "EPSG:N[+M]")]
     pub crs: Option<String>,
-    /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's
+    /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's data files
     #[arg(long, value_enum, value_name = "NAME")]
     pub geoid: Option<GeoidName>,
     /// Also an ortho image under this sun: azimuth (clockwise from north) and elevation, degrees

@@ -21,28 +21,28 @@ pub struct SynthArgs {
     /// Folder to write to
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Size and make-up of the site
+    /// Size of the site
     #[arg(long, value_enum, default_value = "block")]
     site: Site,
-    /// Everything random follows from it
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1, value_name = "N")]
     seed: u64,
-    /// See the site through the cameras of real images, on their dates and under their suns (JSON, as VisSat writes it)
+    /// Cameras, dates and suns of real images (JSON, as VisSat writes it)
     #[arg(long, value_name = "FILE", conflicts_with = "dates")]
     cameras: Option<PathBuf>,
-    /// Images [default: as the site has them, or all of --cameras]
+    /// Number of images [default: that of the site, or all of --cameras]
     #[arg(long, value_name = "N")]
     views: Option<usize>,
-    /// Acquisition dates [default: as the site has them]
+    /// Number of acquisition dates [default: that of the site]
     #[arg(long, value_name = "N")]
     dates: Option<usize>,
     /// Ground sampling distance, metres [default: 0.5]
     #[arg(long, value_parser = parse::positive, value_name = "M")]
     gsd: Option<f64>,
-    /// Width and height of every image, pixels [default: what covers the site; 200 for objects]
+    /// Width and height of every image, pixels [default: enough for the site; 200 for objects]
     #[arg(long, value_name = "PX")]
     size: Option<usize>,
-    /// Material of an object's middle
+    /// Material of the object in the middle
     #[arg(long, value_enum, default_value = "matte")]
     look: Look,
     /// Paths per pixel of an object's images; a power of two is best
@@ -85,7 +85,7 @@ pub struct SynthArgs {
 enum Kind {
     /// Satellite images of several dates, with RPC cameras
     Satellite,
-    /// An object under light that stays (PNG, as NeRF-synthetic)
+    /// An object under constant light (PNG, as NeRF-synthetic)
     Object,
     /// An object under one lamp at a time (EXR, as GS3 and NRHints)
     Olat,

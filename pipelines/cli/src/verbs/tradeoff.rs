@@ -1,4 +1,4 @@
-//! `heliosplat tradeoff`: arguments and what is written.
+//! `heliosplat tradeoff`: arguments and output.
 
 use crate::outcome::{CliError, Outcome};
 use clap::Args;
@@ -14,19 +14,19 @@ use std::path::PathBuf;
 /// `tradeoff`.
 #[derive(Debug, Clone, Args)]
 pub struct TradeoffArgs {
-    /// Scenes, as `train` takes them; every point runs on each
+    /// Scenes, as for `train`; every point runs on each
     #[arg(value_name = "SCENE", required = true)]
     pub scenes: Vec<PathBuf>,
-    /// Folder for the runs, tradeoff.csv, tradeoff.json and tradeoff.html; what is there already is not run again
+    /// Folder for the runs, tradeoff.csv, tradeoff.json and tradeoff.html; finished runs are kept
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Seeds for the points where differences are small
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=100))]
     pub seeds: u64,
-    /// Only points of these names or axes, and what they are compared with
+    /// Only points of these names or axes, with their references
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     pub only: Vec<String>,
-    /// Points of your own in place of the built-in ones, or `ablation`: what each component of the method is worth
+    /// Points of your own instead of the built-in ones, or `ablation`: one component at a time
     #[arg(long, value_name = "FILE.toml|ablation")]
     pub points: Option<PathBuf>,
     /// Print the points and stop

@@ -123,7 +123,7 @@ fn lowered(run: &Folder) -> Markup {
     let lowered = |key: &str| run.number(&format!("/lowered/{key}")).filter(|&count| count > 0.0);
     html! {
         @if let Some(parts) = lowered("parts") {
-            p { (number(Some(parts), 0)) " shaded courtyards or alleys (" (number(lowered("area_m2"), 0)) " m²) were reopened after matching." }
+            p { (number(Some(parts), 0)) " shaded courtyards or alleys (" (number(lowered("area_m2"), 0)) " m²) were reopened by their light." }
         }
     }
 }

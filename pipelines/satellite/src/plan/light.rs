@@ -36,7 +36,7 @@ impl Facts {
         if suns == images {
             let (lowest, highest) = self.suns_deg;
             return format!(
-                "{dates} date(s) with known suns, {lowest:.0} to {highest:.0} degrees high: cast shadows are traced through the geometry"
+                "{dates} dates with known suns, {lowest:.0} to {highest:.0} degrees high: shadows are traced through the geometry"
             );
         }
         format!(
