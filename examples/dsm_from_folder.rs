@@ -7,7 +7,7 @@
 
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::of_surface;
-use heliosplat_products::nadir::Place;
+use heliosplat_products::nadir::GroundExtent;
 use heliosplat_satellite::altitude;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::preprocess::sweep_only;
@@ -42,7 +42,7 @@ fn run() -> Result<(), Box<dyn Error>> {
     }
     let config = SatelliteConfig::resolve(Preset::Balanced, &[], 1)?;
     let surface = sweep_only(&scene, &config, &Session::quiet())?;
-    let dsm = of_surface(&Place::from(&scene), &surface, scene.gsd_m, None)?;
+    let dsm = of_surface(&GroundExtent::from(&scene), &surface, scene.gsd_m, None)?;
     dsm.write(Path::new(out))?;
     let known_percent = 100.0 * dsm.completeness();
     println!("{out}: cells of {:.2} m, {known_percent:.1} % known", scene.gsd_m);

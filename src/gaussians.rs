@@ -286,7 +286,7 @@ pub(crate) fn for_each_of<T: Send>(values: &mut [T], indices: &[u32], change: im
     in_order(values, 1, indices, |place, values| change(place, &mut values[0]));
 }
 
-/// The same with `width` values of an index.
+/// Changes the `width` values of each index, in the order of the indices.
 fn in_order<T: Send>(values: &mut [T], width: usize, indices: &[u32], change: impl Fn(usize, &mut [T]) + Sync) {
     const CHUNK: usize = 4096;
     let parts = (0..indices.len()).into_par_iter().step_by(CHUNK);

@@ -25,7 +25,7 @@ use background::{over_background, over_background_backward};
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Everything that is trained.
+/// The trained parameters: those of each Gaussian, and those that all share.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Parameters {
     /// Per Gaussian: the core groups, then the model's.

@@ -53,7 +53,7 @@ pub enum Lit<'a> {
     /// Traced through these occluders; gradients go back along the rays.
     Traced(&'a Occluders),
     /// Cached transmittances, one per Gaussian, of an earlier trace; no gradients go back.
-    Known(&'a [f32]),
+    Given(&'a [f32]),
     /// Traced, except for Gaussians that keep the transmittance of an earlier trace; these get no gradients along their
     /// light.
     TracedExcept {
@@ -70,7 +70,7 @@ impl<'a> Lit<'a> {
     fn occluders(&self) -> Option<&'a Occluders> {
         match *self {
             Lit::Traced(occluders) | Lit::TracedExcept { occluders, .. } => Some(occluders),
-            Lit::Everywhere | Lit::Known(_) => None,
+            Lit::Everywhere | Lit::Given(_) => None,
         }
     }
 }
@@ -174,7 +174,7 @@ impl<'a> Pass<'a> {
                 let known = |g: u32| kept[g as usize].then(|| known[g as usize]);
                 PassLight::trace(&projected.gaussian, (occluders, source), known)
             }
-            (Lit::Known(values), _) => {
+            (Lit::Given(values), _) => {
                 let splats = projected.gaussian.par_iter().with_min_len(CHUNK);
                 PassLight::known(splats.map(|&g| values[g as usize]).collect())
             }
@@ -353,7 +353,7 @@ pub fn depths(gaussians: &Table, camera: &ProjectiveCamera, projection: &Project
     depths_and(gaussians, camera, projection, |_| 0.0)
 }
 
-/// The same, with a value of each Gaussian composited as the one channel.
+/// Depths, and a value of each Gaussian composited as the one channel.
 pub fn depths_and(
     gaussians: &Table,
     camera: &ProjectiveCamera,

@@ -1,7 +1,7 @@
 //! Times of a run: stages with their parts, each with wall seconds and processor seconds.
 //!
 //! The thread that leads a run opens stages; while a parallel loop runs, that thread waits. So its own processor time
-//! is the work that kept all other threads waiting, whatever else the machine does meanwhile. [`beside`] adds the time
+//! is the work that kept all other threads waiting, whatever else the machine does meanwhile. [`concurrently`] adds the time
 //! during which it waits for one other thread. Stages that other threads open are in their own record.
 //!
 //! ```
@@ -166,7 +166,7 @@ pub fn take() -> Vec<Stage> {
 
 /// Runs `lead` on this thread, with its stages in this thread's record, and `aside` on another. Time waited for `aside`
 /// after `lead` counts as work on one core.
-pub fn beside<A: Send, B>(aside: impl FnOnce() -> A + Send, lead: impl FnOnce() -> B) -> (A, B) {
+pub fn concurrently<A: Send, B>(aside: impl FnOnce() -> A + Send, lead: impl FnOnce() -> B) -> (A, B) {
     let mut done = None;
     let (led, waits) = rayon::in_place_scope(|scope| {
         let done = &mut done;
@@ -236,12 +236,12 @@ mod tests {
         {
             let _waited = stage("waited");
             let _within = stage("within");
-            beside(|| pool.install(|| work(30.0)), || ());
+            concurrently(|| pool.install(|| work(30.0)), || ());
         }
         {
             let _short = stage("short");
             assert_eq!(
-                beside(
+                concurrently(
                     || work(5.0),
                     || {
                         work(60.0);
@@ -253,7 +253,7 @@ mod tests {
         }
         {
             let _long = stage("long");
-            beside(|| work(60.0), || work(5.0));
+            concurrently(|| work(60.0), || work(5.0));
         }
         let stages = take();
         assert!(

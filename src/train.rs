@@ -101,7 +101,7 @@ pub struct Trainer<'a> {
     occluders: Option<Occluders>,
     occluders_step: usize,
     cached_visibility: Vec<Option<CachedVisibility>>,
-    /// As Gaussians stood when their number last changed.
+    /// Neighbours of the Gaussians when their number last changed.
     neighbours: Option<Neighbours>,
     order: Vec<usize>,
     step: usize,
@@ -203,7 +203,7 @@ impl<'a> Trainer<'a> {
         (parameters, early_stop)
     }
 
-    /// The same, with the training views; their held-out pixels have weight zero.
+    /// The best parameters and the training views; held-out pixels of the views have weight zero.
     pub fn into_best_and_views(self) -> (Parameters, EarlyStop, Vec<View>) {
         let summary = self.holdout.summary(self.step);
         (self.holdout.into_best().unwrap_or(self.parameters), summary, self.views)
@@ -370,7 +370,7 @@ impl<'a> Trainer<'a> {
             .as_ref()
             .and_then(|before| before.kept(options.negligible_light_every));
         let lit = match (cached, &self.occluders, &before, &kept) {
-            (Some(cached), ..) => Lit::Known(&cached.values),
+            (Some(cached), ..) => Lit::Given(&cached.values),
             (None, Some(occluders), Some(before), Some(kept)) => Lit::TracedExcept {
                 occluders,
                 known: &before.values,

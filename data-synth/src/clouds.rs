@@ -218,10 +218,10 @@ fn width_m(probes: &[([f64; 2], bool)]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::city::Ground;
+    use crate::city::GroundCover;
     use crate::encoding::{FULL_COUNT, MEAN_GAIN};
     use crate::materials::{Material, Season, grey};
-    use crate::radiometry::{Light, LitScene, Weather};
+    use crate::radiometry::{Illumination, LitScene, Weather};
     use crate::raytrace::Tracer;
     use crate::sensor::{PushBroom, ViewGeometry};
     use crate::solid::Solids;
@@ -334,7 +334,7 @@ mod tests {
     fn a_cloud_hides_what_is_under_it_and_throws_its_shadow_elsewhere() {
         let terrain = HeightField::sample(400.0, 4.0, |_, _| 0.0);
         let tracer = Tracer::new(&terrain, Solids::default().primitives);
-        let ground = Ground::plain(Material::Plain(grey(0.1)));
+        let ground = GroundCover::plain(Material::Plain(grey(0.1)));
         let scene = LitScene {
             tracer: &tracer,
             surfaces: &[],
@@ -348,7 +348,7 @@ mod tests {
             seed: 3,
         };
         let sun = SunPosition::from_degrees(130.0, 40.0);
-        let clear = Light::new(&sun, weather, Season::REFERENCE, 0.2);
+        let clear = Illumination::new(&sun, weather, Season::REFERENCE, 0.2);
         let field = CloudField::over(&sensor(10.0), &crop(300), CloudSize::SMALL, 3);
         let cloudy = clear.through(Some(field));
         let sight = Vector3::new(-0.15, 0.1, -1.0).normalize();

@@ -7,7 +7,7 @@ use crate::materials::{Class, Material, Spectrum};
 use crate::noise::{hash2, unit};
 use crate::panels;
 use crate::raytrace::Hit;
-use crate::solid::Surface;
+use crate::solid::Face;
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 
@@ -29,7 +29,7 @@ pub(crate) struct Lobe {
 }
 
 /// The lobe of the hit surface, if it has one.
-pub(crate) fn lobe_of(surface: &Surface, hit: &Hit) -> Option<Lobe> {
+pub(crate) fn lobe_of(surface: &Face, hit: &Hit) -> Option<Lobe> {
     let coated = |alpha: f64| Lobe {
         f0: Spectrum::repeat(DIELECTRIC),
         alpha,

@@ -19,7 +19,7 @@ use crate::noise::{hash2, noise, unit};
 use crate::ray::Ray;
 use crate::raytrace::{GROUND, Hit, Tracer};
 use crate::request::{Fault, Faults};
-use crate::solid::Surface;
+use crate::solid::Face;
 use heliosplat_rpc::sun::SunPosition;
 use nalgebra::Vector3;
 use std::f64::consts::PI;
@@ -60,7 +60,7 @@ pub(crate) struct Weather {
 
 /// Light of one image.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Light {
+pub(crate) struct Illumination {
     pub(crate) to_sun: Vector3<f64>,
     /// Irradiance of the sun on a surface that faces it.
     pub(crate) sun: Spectrum,
@@ -82,16 +82,16 @@ pub(crate) struct Light {
     waves: Option<Waves>,
 }
 
-/// Everything a ray may meet.
+/// The scene of a ray: solids, ground and light.
 pub(crate) struct LitScene<'a> {
     pub(crate) tracer: &'a Tracer<'a>,
-    pub(crate) surfaces: &'a [Surface],
-    pub(crate) ground: &'a crate::city::Ground,
+    pub(crate) surfaces: &'a [Face],
+    pub(crate) ground: &'a crate::city::GroundCover,
 }
 
 /// Result of one ray of the sensor.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Sample {
+pub(crate) struct SensorSample {
     /// Radiance at the satellite.
     pub(crate) radiance: Spectrum,
     /// True if more than half of the sun's beam reaches the visible surface, or would without the cloud before it.
@@ -102,7 +102,7 @@ pub(crate) struct Sample {
     pub(crate) sea: bool,
 }
 
-impl Light {
+impl Illumination {
     /// The light of a date under a sun, seen at an angle from the zenith.
     pub(crate) fn new(sun: &SunPosition, weather: Weather, season: Season, view_zenith_rad: f64) -> Self {
         let height = sun.elevation_rad.sin();
@@ -169,13 +169,13 @@ impl Light {
     }
 
     /// Radiance and labels of a ray of the sensor. `draw` is a random word of its own for each ray.
-    pub(crate) fn sample(&self, scene: &LitScene, ray: &Ray, draw: u64) -> Sample {
+    pub(crate) fn sample(&self, scene: &LitScene, ray: &Ray, draw: u64) -> SensorSample {
         let below = self.sample_below(scene, ray, draw);
         let Some(clouds) = &self.clouds else {
             return below;
         };
         let cloud = clouds.seen_along(ray);
-        Sample {
+        SensorSample {
             radiance: below.radiance * (1.0 - cloud.opacity) + self.cloud_radiance(cloud.albedo) * cloud.opacity,
             clouded: cloud.hides,
             ..below
@@ -188,10 +188,10 @@ impl Light {
         ((self.sun + self.sky) * (albedo / PI)).component_mul(&self.transmittance) + self.haze
     }
 
-    /// The same below the clouds. `draw` is a random word of its own for each ray.
-    fn sample_below(&self, scene: &LitScene, ray: &Ray, draw: u64) -> Sample {
+    /// Sample of a ray below the clouds. `draw` is a random word of its own for each ray.
+    fn sample_below(&self, scene: &LitScene, ray: &Ray, draw: u64) -> SensorSample {
         let Some(hit) = scene.tracer.trace(ray) else {
-            return Sample {
+            return SensorSample {
                 radiance: self.haze,
                 lit: true,
                 clouded: 0.0,
@@ -229,7 +229,7 @@ impl Light {
         if let Some(lobe) = &lobe {
             radiance += self.gloss(scene, lobe, start, ray, beam, draw);
         }
-        Sample {
+        SensorSample {
             radiance: radiance.component_mul(&self.transmittance) + self.haze,
             lit: beam > 0.5,
             clouded: 0.0,
@@ -285,7 +285,7 @@ impl Light {
         if open { self.sky } else { self.around }
     }
 
-    /// Light from a direction, as [`Light::sky_or_around`], with the actual light of the surface there where
+    /// Light from a direction, as [`Illumination::sky_or_around`], with the actual light of the surface there where
     /// interreflection is on.
     fn arriving(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>, draw: u64) -> Spectrum {
         if !self.bounce {
@@ -402,13 +402,13 @@ impl LitScene<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::city::Ground;
+    use crate::city::GroundCover;
     use crate::encoding::{Encoding, MEAN_GAIN};
     use crate::materials::Material;
     use crate::solid::{Finish, Footprint, Solids};
     use crate::terrain::HeightField;
 
-    fn light(elevation_deg: f64, aerosol: f64) -> Light {
+    fn light(elevation_deg: f64, aerosol: f64) -> Illumination {
         let weather = Weather {
             aerosol,
             exposure: 1.0,
@@ -416,7 +416,7 @@ mod tests {
             water_turbidity: 1.0,
             seed: 1,
         };
-        Light::new(
+        Illumination::new(
             &SunPosition::from_degrees(140.0, elevation_deg),
             weather,
             Season::REFERENCE,
@@ -462,7 +462,7 @@ mod tests {
         };
         solids.block(&wall, -1.0, 10.0, finish, finish);
         let tracer = Tracer::new(&terrain, solids.primitives);
-        let ground = Ground::plain(Material::Plain(crate::materials::grey(0.2)));
+        let ground = GroundCover::plain(Material::Plain(crate::materials::grey(0.2)));
         look(&LitScene {
             tracer: &tracer,
             surfaces: &solids.surfaces,
@@ -476,7 +476,7 @@ mod tests {
         let sun = SunPosition::from_degrees(270.0, 35.0);
         let faults = Faults::from([Fault::Interreflection]);
         let weather = light(35.0, 0.1).weather;
-        let light = Light::new(&sun, weather, Season::REFERENCE, 0.3).among(&faults);
+        let light = Illumination::new(&sun, weather, Season::REFERENCE, 0.3).among(&faults);
         let (distance_m, height_m) = (4.0, 10.0f64);
         let wall = Material::Plain(Spectrum::repeat(0.6));
         beside_a_wall(distance_m, wall, |scene| {
@@ -493,7 +493,7 @@ mod tests {
                 let error = (got[band] - expected[band]).abs() / expected[band];
                 assert!(error < 0.03, "band {band}: {} {}", got[band], expected[band]);
             }
-            let without = Light::new(&sun, weather, Season::REFERENCE, 0.3);
+            let without = Illumination::new(&sun, weather, Season::REFERENCE, 0.3);
             let dimmer = light.sky * (1.0 - share) + without.around * share;
             assert!(got.x > 1.2 * dimmer.x, "more than from an average neighbourhood");
         });
@@ -535,7 +535,7 @@ mod tests {
         let airlight = clear.to_sun.z * 0.4 / PI;
         for band in 0..4 {
             let radiance = 0.1;
-            let seen = |light: &Light| radiance * light.transmittance[band] + light.haze[band];
+            let seen = |light: &Illumination| radiance * light.transmittance[band] + light.haze[band];
             let expected = seen(&clear) * share[band] + airlight * (1.0 - share[band]);
             assert!((seen(&hazy) - expected).abs() < 1e-12);
             assert!(hazy.sun[band] < clear.sun[band] && hazy.sky[band] > clear.sky[band]);

@@ -10,7 +10,7 @@ use crate::materials::Season;
 use crate::nadir::NadirSensor;
 use crate::noise::{hash2, stream};
 use crate::plan::Collection;
-use crate::radiometry::{Light, LitScene, Weather};
+use crate::radiometry::{Illumination, LitScene, Weather};
 use crate::ray::Ray;
 use crate::render::{Exposure, Image, render};
 use crate::request::{Cover, SatelliteRequest};
@@ -108,7 +108,7 @@ pub(crate) fn relit(
     let waves = request
         .has_sea()
         .then(|| Waves::of_image(seed, studio.weather.water_slope_variance));
-    let light = Light::new(&sun, studio.weather, studio.season, 0.0)
+    let light = Illumination::new(&sun, studio.weather, studio.season, 0.0)
         .under_haze(studio.haze.as_ref(), 0.0)
         .among(&request.faults)
         .on_sea(waves);

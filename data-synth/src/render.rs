@@ -4,7 +4,7 @@ use crate::clouds;
 use crate::crop::Crop;
 use crate::encoding::{Encoding, bands_of};
 use crate::noise::{hash2, normal};
-use crate::radiometry::{Light, LitScene, Sample};
+use crate::radiometry::{Illumination, LitScene, SensorSample};
 use crate::ray::Ray;
 use crate::raytrace::Tracer;
 use crate::request::BandSet;
@@ -24,7 +24,7 @@ const ROWS_AT_ONCE: usize = 48;
 pub(crate) struct Exposure<'a> {
     pub(crate) sensor: &'a Sensor,
     pub(crate) crop: Crop,
-    pub(crate) light: &'a Light,
+    pub(crate) light: &'a Illumination,
     pub(crate) bands: BandSet,
     pub(crate) encoding: Encoding,
     /// Gain of each of the renderer's bands relative to the encoding's.
@@ -111,7 +111,7 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
     let centre = (FINE / 2) as f64;
     let position = |fine: i64, jitter: f64| (fine as f64 - centre + jitter) / FINE as f64;
     let line = exposure.sensor.at_line(row0 + position(fine_row, 0.0));
-    let samples: Vec<Sample> = (-(REACH as i64)..(width * FINE + REACH) as i64)
+    let samples: Vec<SensorSample> = (-(REACH as i64)..(width * FINE + REACH) as i64)
         .map(|fine_col| {
             let draw = hash2(hash2(exposure.seed, fine_row as u64), fine_col as u64);
             let jitter = crate::noise::unit(hash2(draw, 1)) - 0.5;
@@ -150,7 +150,7 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
     }
 }
 
-/// The same ray, started just above the scene: starting 600 km away would cost digits in every intersection.
+/// The ray, started just above the scene: starting 600 km away would cost digits in every intersection.
 pub(crate) fn lowered(ray: &Ray, tracer: &Tracer) -> Ray {
     let t = (tracer.top_m() - ray.origin.z) / ray.direction.z;
     Ray {
@@ -192,12 +192,12 @@ fn finish_row(exposure: &Exposure, kernel: &[f32], row: usize, fine: &[FineRow],
 mod tests {
     use super::*;
 
-    use crate::city::Ground;
+    use crate::city::GroundCover;
     use crate::encoding::MEAN_GAIN;
     use crate::materials::{Class, Material, Season, grey};
     use crate::radiometry::Weather;
     use crate::sensor::{PushBroom, ViewGeometry};
-    use crate::solid::{Finish, Footprint, Solids, Surface};
+    use crate::solid::{Face, Finish, Footprint, Solids};
     use crate::terrain::HeightField;
     use heliosplat_rpc::sun::SunPosition;
     use heliosplat_rpc::{GeoPoint, LocalFrame};
@@ -209,7 +209,7 @@ mod tests {
         sensor: PushBroom,
         crop: Crop,
         terrain: HeightField,
-        ground: Ground,
+        ground: GroundCover,
         sun: SunPosition,
     }
 
@@ -241,14 +241,14 @@ mod tests {
                     height: 160,
                 },
                 terrain: HeightField::sample(90.0, 1.0, |_, _| 0.0),
-                ground: Ground::plain(Material::Plain(grey(0.05))),
+                ground: GroundCover::plain(Material::Plain(grey(0.05))),
                 sun,
             }
         }
 
         fn shoot(&self, solids: Solids, bits: u8) -> Image {
             let tracer = Tracer::new(&self.terrain, solids.primitives);
-            let surfaces: &[Surface] = &solids.surfaces;
+            let surfaces: &[Face] = &solids.surfaces;
             let scene = LitScene {
                 tracer: &tracer,
                 surfaces,
@@ -261,7 +261,7 @@ mod tests {
                 water_turbidity: 1.0,
                 seed: 3,
             };
-            let light = Light::new(&self.sun, weather, Season::REFERENCE, 0.3);
+            let light = Illumination::new(&self.sun, weather, Season::REFERENCE, 0.3);
             let exposure = Exposure {
                 sensor: &Sensor::PushBroom(Box::new(self.sensor.clone())),
                 crop: self.crop,

@@ -151,7 +151,7 @@ pub enum Cover {
 pub struct SatelliteRequest {
     /// Size and make-up of the site.
     pub site: Site,
-    /// Everything random follows from it: place, city, dates, sensors, noise.
+    /// Seed of all random numbers: place, city, dates, sensors, noise.
     pub seed: u64,
     /// Cameras, dates and suns of real images, a JSON file as VisSat writes it; the site's own sensors if absent.
     pub cameras: Option<PathBuf>,

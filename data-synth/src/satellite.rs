@@ -11,7 +11,7 @@ use crate::faults::{self, Haze};
 use crate::materials::Class;
 use crate::nadir::NadirSensor;
 use crate::plan::{Collection, DatePlan, ViewPlan};
-use crate::radiometry::{Light, LitScene};
+use crate::radiometry::{Illumination, LitScene};
 use crate::rational::{self, RationalSensor};
 use crate::raytrace::Tracer;
 use crate::relit::{self, Studio};
@@ -46,7 +46,7 @@ struct ImageCamera {
     sensor: Sensor,
     crop: Crop,
     fit: RpcFit,
-    /// Of the crop, with the requested bias.
+    /// RPC of the crop, with the requested bias.
     rpc: Rpc,
 }
 
@@ -187,7 +187,7 @@ fn light_of(
     view: &ViewPlan,
     camera: &ImageCamera,
     haze: Option<&Haze>,
-) -> Light {
+) -> Illumination {
     let size = if request.has(Fault::LargeClouds) {
         CloudSize::LARGE
     } else {
@@ -198,7 +198,7 @@ fn light_of(
         .has_sea()
         .then(|| Waves::of_image(view.geometry.seed, date.weather.water_slope_variance));
     let zenith_rad = view.geometry.zenith_rad();
-    Light::new(&view.sun, date.weather, date.season, zenith_rad)
+    Illumination::new(&view.sun, date.weather, date.season, zenith_rad)
         .under_haze(haze, zenith_rad)
         .among(&request.faults)
         .on_sea(waves)

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 /// A surface: its class, its material, and the coordinates of its texture.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Surface {
+pub(crate) struct Face {
     pub(crate) class: Class,
     pub(crate) material: Material,
     pub(crate) seed: u32,
@@ -18,7 +18,7 @@ pub(crate) struct Surface {
     pub(crate) panels: bool,
 }
 
-impl Surface {
+impl Face {
     /// Albedo at a point of the surface.
     pub(crate) fn albedo(&self, point: Vector3<f64>, season: &Season) -> Spectrum {
         let at = self.spot(point);
@@ -94,7 +94,7 @@ impl Footprint {
 /// Surfaces and the primitives that refer to them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Solids {
-    pub(crate) surfaces: Vec<Surface>,
+    pub(crate) surfaces: Vec<Face>,
     pub(crate) primitives: Primitives,
 }
 
@@ -108,7 +108,7 @@ impl Solids {
         normal: Vector3<f64>,
     ) -> SurfaceId {
         let along_u = edge.normalize();
-        self.surfaces.push(Surface {
+        self.surfaces.push(Face {
             class: finish.class,
             material: finish.material,
             seed: finish.seed,
@@ -161,7 +161,7 @@ impl Solids {
 
     /// A surface to be shared by many ellipsoids, textured along two slanted axes.
     pub(crate) fn foliage_surface(&mut self, origin: Vector3<f64>, finish: Finish) -> SurfaceId {
-        self.surfaces.push(Surface {
+        self.surfaces.push(Face {
             class: finish.class,
             material: finish.material,
             seed: finish.seed,

@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn a_roof_raises_exactly_the_cells_whose_centres_it_covers_to_exactly_its_altitude() {
-        use crate::city::Ground;
+        use crate::city::GroundCover;
         use crate::materials::{Class, Material, grey};
         use crate::raytrace::Tracer;
         use crate::solid::{Finish, Solids};
@@ -183,7 +183,7 @@ mod tests {
         solids.polygon(&corners, finish);
         let terrain = HeightField::sample(30.0, 1.0, |_, _| 0.0);
         let tracer = Tracer::new(&terrain, solids.primitives);
-        let ground = Ground::plain(Material::Plain(grey(0.1)));
+        let ground = GroundCover::plain(Material::Plain(grey(0.1)));
         let scene = LitScene {
             tracer: &tracer,
             surfaces: &solids.surfaces,

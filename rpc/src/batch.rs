@@ -24,7 +24,7 @@ type Lane = [f64; LANES];
 
 /// Eight points in the model's half ranges.
 #[derive(Clone, Copy, Default)]
-struct Ground {
+struct PointLanes {
     l: Lane,
     p: Lane,
     h: Lane,
@@ -50,7 +50,7 @@ struct Inverse {
 const START_STEP: f64 = 1e-3;
 
 /// A model linearised at its centre, normalised: start of Newton's method for every point.
-struct Start {
+struct LinearModel {
     image: Image,
     inverse: Inverse,
     row_by_h: f64,
@@ -66,7 +66,7 @@ impl Rpc {
     pub fn project_all(&self, points: &[GeoPoint]) -> Vec<ImagePoint> {
         let mut out = Vec::with_capacity(points.len());
         for block in points.chunks(LANES) {
-            let mut ground = Ground::default();
+            let mut ground = PointLanes::default();
             for (lane, &point) in block.iter().enumerate() {
                 let [l, p, h] = self.normalised(point);
                 (ground.l[lane], ground.p[lane], ground.h[lane]) = (l, p, h);
@@ -108,16 +108,16 @@ impl Rpc {
     }
 
     /// The model as a plane at its centre.
-    fn start(&self) -> Start {
-        let (image, inverse) = self.look_closely(&Ground::default());
-        let level = Ground {
+    fn start(&self) -> LinearModel {
+        let (image, inverse) = self.look_closely(&PointLanes::default());
+        let level = PointLanes {
             h: [START_STEP; LANES],
-            ..Ground::default()
+            ..PointLanes::default()
         };
         let raised = self.look(&level);
         let of_row = inverse.l_by_row[0].abs() + inverse.p_by_row[0].abs();
         let of_col = inverse.l_by_col[0].abs() + inverse.p_by_col[0].abs();
-        Start {
+        LinearModel {
             row_by_h: (raised.row[0] - image.row[0]) / START_STEP,
             col_by_h: (raised.col[0] - image.col[0]) / START_STEP,
             trusted: of_row < TRUSTED_SPAN && of_col < TRUSTED_SPAN,
@@ -127,8 +127,8 @@ impl Rpc {
     }
 
     /// Newton's method for up to eight points, and which of them converged.
-    fn approach(&self, start: &Start, points: &[ImagePoint], heights_m: &[f64]) -> (Ground, [bool; LANES]) {
-        let (mut ground, mut target, mut image) = (Ground::default(), Image::default(), start.image);
+    fn approach(&self, start: &LinearModel, points: &[ImagePoint], heights_m: &[f64]) -> (PointLanes, [bool; LANES]) {
+        let (mut ground, mut target, mut image) = (PointLanes::default(), Image::default(), start.image);
         for (lane, (point, height_m)) in points.iter().zip(heights_m).enumerate() {
             let height = (height_m - self.height_offset_m) / self.height_scale_m;
             ground.h[lane] = height;
@@ -160,7 +160,7 @@ impl Rpc {
 
     /// Image positions of eight points of the ground.
     #[inline(always)]
-    fn look(&self, ground: &Ground) -> Image {
+    fn look(&self, ground: &PointLanes) -> Image {
         let m = eight_monomials(ground);
         let row = eight_values(&self.line_numerator, &m);
         let row_under = eight_values(&self.line_denominator, &m);
@@ -174,9 +174,9 @@ impl Rpc {
         image
     }
 
-    /// The same with the inverse of its derivatives.
+    /// The image of eight points, with the inverse of its derivatives.
     #[inline]
-    fn look_closely(&self, ground: &Ground) -> (Image, Inverse) {
+    fn look_closely(&self, ground: &PointLanes) -> (Image, Inverse) {
         let (mut image, mut inverse) = (Image::default(), Inverse::default());
         for lane in 0..LANES {
             let m = monomials([ground.l[lane], ground.p[lane], ground.h[lane]]);
@@ -223,7 +223,7 @@ impl Rpc {
 
 /// The monomials of eight points.
 #[inline(always)]
-fn eight_monomials(ground: &Ground) -> [Lane; 20] {
+fn eight_monomials(ground: &PointLanes) -> [Lane; 20] {
     let mut out = [[0.0; LANES]; 20];
     for lane in 0..LANES {
         let m = monomials([ground.l[lane], ground.p[lane], ground.h[lane]]);
@@ -254,7 +254,7 @@ fn eight_values(coefficients: &[f64; 20], m: &[Lane; 20]) -> Lane {
 
 /// One step to the target.
 #[inline]
-fn step(ground: &mut Ground, target: &Image, image: &Image, inverse: &Inverse) {
+fn step(ground: &mut PointLanes, target: &Image, image: &Image, inverse: &Inverse) {
     for lane in 0..LANES {
         let (row, col) = (target.row[lane] - image.row[lane], target.col[lane] - image.col[lane]);
         ground.l[lane] += inverse.l_by_row[lane] * row + inverse.l_by_col[lane] * col;
@@ -264,7 +264,7 @@ fn step(ground: &mut Ground, target: &Image, image: &Image, inverse: &Inverse) {
 
 /// Takes back the steps that did not help: rounding had the last word before.
 #[inline]
-fn keep_better(ground: &mut Ground, residual_px: &mut Lane, before: &(Ground, Lane)) {
+fn keep_better(ground: &mut PointLanes, residual_px: &mut Lane, before: &(PointLanes, Lane)) {
     for lane in 0..LANES {
         if before.1[lane] < TARGET_RESIDUAL_PX {
             ground.l[lane] = before.0.l[lane];

@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, Vector2};
 const TARGET_RESIDUAL_PX: f64 = 2e-10;
 /// Largest residual of a solution, from rounding on a model with large coordinates.
 const ACCEPTED_RESIDUAL_PX: f64 = 1e-6;
-/// The same with longitude and latitude rounded to f64, 2 nm.
+/// Largest reprojection error of a result, pixels: longitude and latitude rounded to f64 are off by 2 nm.
 const ACCEPTED_REPROJECTION_PX: f64 = 1e-5;
 const MAX_ITERATIONS: usize = 60;
 const MAX_HALVINGS: usize = 14;

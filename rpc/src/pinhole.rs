@@ -90,7 +90,7 @@ impl PinholeFit {
         check_request(window, altitude_range_m)?;
         let samples = sample_grid(rpc, frame, window, altitude_range_m, FIT_GRID)?;
         let normalisation = Normalisation::of(&samples, window);
-        let normalised: Vec<Sample> = samples.iter().map(|sample| normalisation.apply(sample)).collect();
+        let normalised: Vec<Correspondence> = samples.iter().map(|sample| normalisation.apply(sample)).collect();
         let parameters = fit_normalised(&normalised, &normalisation)?;
         let map = normalisation.undo(&parameters)?;
         let between = sample_grid(rpc, frame, window, altitude_range_m, CHECK_GRID)?;
@@ -98,7 +98,7 @@ impl PinholeFit {
     }
 
     /// The residuals of `map` over `samples`.
-    fn checked(map: ProjectiveMap, samples: &[Sample]) -> Result<Self, RpcError> {
+    fn checked(map: ProjectiveMap, samples: &[Correspondence]) -> Result<Self, RpcError> {
         let (mut sum, mut max_px) = (0.0, 0.0_f64);
         for sample in samples {
             let denominator = 1.0 + Vector3::from(map.w).dot(&sample.enu_m);
@@ -124,7 +124,7 @@ impl PinholeFit {
 
 /// A ground point and its pixel in the window.
 #[derive(Clone, Copy)]
-struct Sample {
+struct Correspondence {
     enu_m: Vector3<f64>,
     pixel: Vector2<f64>,
 }
@@ -152,7 +152,7 @@ fn sample_grid(
     window: ImageWindow,
     (low_m, high_m): (f64, f64),
     (across, levels): (usize, usize),
-) -> Result<Vec<Sample>, RpcError> {
+) -> Result<Vec<Correspondence>, RpcError> {
     // A flat range still needs some depth, or the map's dependence on height would be a guess.
     let middle_m = 0.5 * (low_m + high_m);
     let half_m = (0.5 * (high_m - low_m)).max(1.0);
@@ -170,7 +170,7 @@ fn sample_grid(
                     row: pixel.y + window.row0,
                 };
                 let ground: GeoPoint = rpc.localise(image, height_m)?;
-                samples.push(Sample {
+                samples.push(Correspondence {
                     enu_m: frame.enu_from_geo(ground),
                     pixel,
                 });
@@ -189,7 +189,7 @@ struct Normalisation {
 }
 
 impl Normalisation {
-    fn of(samples: &[Sample], window: ImageWindow) -> Self {
+    fn of(samples: &[Correspondence], window: ImageWindow) -> Self {
         let ground_centre_m =
             samples.iter().fold(Vector3::zeros(), |sum, sample| sum + sample.enu_m) / samples.len() as f64;
         let reach_m = samples
@@ -204,8 +204,8 @@ impl Normalisation {
         }
     }
 
-    fn apply(&self, sample: &Sample) -> Sample {
-        Sample {
+    fn apply(&self, sample: &Correspondence) -> Correspondence {
+        Correspondence {
             enu_m: (sample.enu_m - self.ground_centre_m) / self.ground_scale_m,
             pixel: (sample.pixel - self.image_centre_px) / self.image_scale_px,
         }
@@ -240,7 +240,7 @@ impl Normalisation {
 
 /// Least squares from the linear equations, refined on pixel residuals, then levelled: samples with large residuals
 /// gain weight until the largest is at most [`LEVEL`] times the root mean square, which grows by a few percent.
-fn fit_normalised(samples: &[Sample], normalisation: &Normalisation) -> Result<Parameters, RpcError> {
+fn fit_normalised(samples: &[Correspondence], normalisation: &Normalisation) -> Result<Parameters, RpcError> {
     let mut weights = vec![1.0; samples.len()];
     // From zero parameters (image 0 everywhere, denominator 1) the step is the linear equations' solution.
     let mut parameters = normal_step(samples, &weights, normalisation, &Parameters::zeros())?;
@@ -282,7 +282,7 @@ fn predict(parameters: &Parameters, p: &Vector3<f64>) -> Vector2<f64> {
 /// One Gauss-Newton step from `parameters` on the weighted pixel residuals with the denominator's prior. Zero
 /// parameters do not see the perspective; there the linear equations `u p + u0 - col (w p) = col` are solved instead.
 fn normal_step(
-    samples: &[Sample],
+    samples: &[Correspondence],
     weights: &[f64],
     normalisation: &Normalisation,
     parameters: &Parameters,

@@ -251,7 +251,7 @@ impl Network {
         out
     }
 
-    /// The same, kept for the backward pass.
+    /// Outputs for rows of inputs, with the activations that the backward pass needs.
     pub fn forward_kept(&self, weights: &[f32], inputs: &[f32]) -> ForwardPass {
         let prepared = self.prepare(weights);
         let blocks: Vec<LayerInputs> = inputs

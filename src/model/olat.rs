@@ -39,7 +39,7 @@ use glam::Vec3;
 use groups::{Feature, LOBE_FRAME, LOBE_GROUPS, LOBE_SCALE, Shared};
 use rayon::prelude::*;
 use std::f32::consts::PI;
-use surface::{LightGeometry, Lobes, Surface, SurfaceGradient};
+use surface::{LightGeometry, Lobes, OlatSurface, SurfaceGradient};
 
 /// Orientations of the lobes' long axes at the start, evenly over half a circle. A Gaussian whose frame lies across the
 /// grain would have to turn through worse fits and gets stuck; with several orientations it finds one nearby by weight
@@ -138,11 +138,11 @@ impl Olat {
         })
     }
 
-    fn surface(&self, gaussians: &Table, g: usize) -> Surface {
+    fn surface(&self, gaussians: &Table, g: usize) -> OlatSurface {
         let values = |group: usize, width: usize| &gaussians.group(group)[g * width..(g + 1) * width];
         let positive = |values: &[f32], k: usize| softplus(values[k]);
         let frame = values(FRAME, 4);
-        let mut surface = Surface {
+        let mut surface = OlatSurface {
             diffuse: std::array::from_fn(|k| positive(values(DIFFUSE, COLOURS), k)),
             frame: [frame[0], frame[1], frame[2], frame[3]],
             specular: [0.0; COLOURS],

@@ -33,7 +33,7 @@ use crate::shade::sh::{self, MAX_DEGREE};
 use crate::splat::{MapGradients, Maps};
 use glam::Vec3;
 use rayon::prelude::*;
-use surface::{EMBEDDING_WIDTH, INPUTS, PartialGradient, Surface, SurfaceGradient, ViewGeometry};
+use surface::{EMBEDDING_WIDTH, INPUTS, PartialGradient, ReflectiveSurface, SurfaceGradient, ViewGeometry};
 
 /// Index of the group of albedos, before the sigmoid.
 pub const ALBEDO: usize = FEATURES;
@@ -120,7 +120,7 @@ pub struct Reflective {
 
 /// The surfaces of a view, how its camera sees them, and the decoder's inputs of those that are glossy.
 struct PreparedView {
-    surfaces: Vec<Surface>,
+    surfaces: Vec<ReflectiveSurface>,
     views: Vec<ViewGeometry>,
     /// Per splat its row among the decoder's inputs; `None` where it is not glossy.
     rows: Vec<Option<usize>>,
@@ -184,7 +184,7 @@ impl Reflective {
     /// Surfaces, view geometry and decoder inputs of all splats.
     fn prepare(&self, context: &Context, seen: &Seen) -> PreparedView {
         let (eye, toward) = (context.camera.eye(), -context.camera.depth_axis);
-        let (surfaces, views): (Vec<Surface>, Vec<ViewGeometry>) = seen
+        let (surfaces, views): (Vec<ReflectiveSurface>, Vec<ViewGeometry>) = seen
             .projected
             .gaussian
             .par_iter()

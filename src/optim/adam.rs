@@ -39,7 +39,7 @@ impl Adam {
         self.step_with(BETA1, parameters, gradients, rates);
     }
 
-    /// The same with `beta1`, 0 to 1, as the decay of the first moment per step.
+    /// One step with `beta1`, 0 to 1, as the decay of the first moment.
     pub fn step_with(&mut self, beta1: f32, parameters: &mut Table, gradients: &Table, rates: &[f32]) {
         self.steps += 1;
         let correction1 = 1.0 - beta1.powi(self.steps as i32);

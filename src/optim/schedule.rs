@@ -20,7 +20,7 @@ impl LearningRate {
     /// The group does not change.
     pub const FROZEN: Self = Self::constant(0.0);
 
-    /// The same rate at every step.
+    /// A constant rate.
     pub const fn constant(rate: f32) -> Self {
         Self {
             rate,

@@ -124,7 +124,7 @@ impl<'a> Rasteriser<'a> {
         }
     }
 
-    /// The same with the bins of an earlier one, of the same splats and size.
+    /// A rasteriser with the bins of an earlier one of the same splats and size.
     pub fn with_bins(projected: &'a Projected, bins: &'a Bins, width: usize, height: usize) -> Self {
         Self {
             bins: Cow::Borrowed(bins),
@@ -135,7 +135,7 @@ impl<'a> Rasteriser<'a> {
         }
     }
 
-    /// The same, which composites more of the depths.
+    /// The rasteriser with more statistics of the depths.
     pub fn with_depths(self, depths: Depths) -> Self {
         Self { depths, ..self }
     }

@@ -252,7 +252,7 @@ impl Occluders {
         }
     }
 
-    /// The same with a hierarchy that was built on earlier bounds of the Gaussians and is refitted to the current ones.
+    /// Occluders with a hierarchy that was built on earlier bounds of the Gaussians and is refitted to the current ones.
     ///
     /// # Panics
     /// When the number of bounds differs.

@@ -50,7 +50,7 @@ impl CachedVisibility {
         }
     }
 
-    /// The same after one more step that used it.
+    /// The cache after one more step that used it.
     pub(super) fn used(self) -> Self {
         Self {
             uses: self.uses + 1,

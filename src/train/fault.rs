@@ -34,7 +34,7 @@ pub enum TrainError {
         /// The view of the last rejected step.
         view: String,
     },
-    /// Nothing is left to train.
+    /// No Gaussians are left.
     #[error("no Gaussians are left; the images may not overlap or the altitude range may miss the ground")]
     Empty,
     /// There is nothing to learn from.

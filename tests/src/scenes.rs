@@ -1,7 +1,7 @@
 //! Small satellite scenes for tests of faults: textured images over flat ground with simple, exact RPC cameras.
 
 use heliosplat::Raster;
-use heliosplat_raster::{Crs, GeoTransform, ImageSpec, Sample, write_geotiff};
+use heliosplat_raster::{Crs, GeoTransform, ImageSpec, SampleType, write_geotiff};
 use heliosplat_rpc::{Rpc, write};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -97,7 +97,7 @@ impl View {
             band_descriptions: names,
             ..ImageSpec::plain(&raster)
         };
-        write_geotiff(&path, &spec, Sample::U16).expect("the image is written");
+        write_geotiff(&path, &spec, SampleType::U16).expect("the image is written");
         if self.date.is_some() || self.sun_deg.is_some() {
             let text = self.metadata().to_string();
             std::fs::write(path.with_extension("json"), text).expect("the JSON is written");

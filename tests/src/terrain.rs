@@ -8,8 +8,8 @@ use super::scenes::{METRES_PER_DEGREE, parallel_camera};
 use heliosplat::Raster;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::{Dsm, of_surface};
-use heliosplat_products::nadir::Place;
-use heliosplat_raster::{CrsTransform, ImageSpec, Sample, write_geotiff};
+use heliosplat_products::nadir::GroundExtent;
+use heliosplat_raster::{CrsTransform, ImageSpec, SampleType, write_geotiff};
 use heliosplat_rpc::sun::sun_position;
 use heliosplat_rpc::{GeoPoint, Rpc, write};
 use heliosplat_satellite::config::SatelliteConfig;
@@ -407,7 +407,7 @@ fn swept(request: &SceneRequest, folder: &Path) -> Result<Compared, String> {
     let index = Index::open(folder, options.rpc).map_err(|error| error.to_string())?;
     let swept = open_and_sweep(&index, &options, &config, &Session::quiet());
     let (scene, surface) = swept.map_err(|error| error.to_string())?;
-    let dsm = of_surface(&Place::from(&scene), &surface, GSD_M, None).map_err(|error| error.to_string())?;
+    let dsm = of_surface(&GroundExtent::from(&scene), &surface, GSD_M, None).map_err(|error| error.to_string())?;
     Ok(compare(&dsm, &[&terrain, &other], scene.warnings))
 }
 
@@ -683,7 +683,7 @@ fn write_view(folder: &Path, name: &str, image: &Raster, rpc: &Rpc, date: &str) 
         ..ImageSpec::plain(image)
     };
     let path = folder.join(format!("{name}.tif"));
-    write_geotiff(&path, &spec, Sample::U16).expect("the image is written");
+    write_geotiff(&path, &spec, SampleType::U16).expect("the image is written");
     let text = format!("{{\"img\": \"{name}.tif\", \"acquisition_date\": \"{date}\"}}");
     std::fs::write(path.with_extension("json"), text).expect("the JSON is written");
 }

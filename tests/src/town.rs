@@ -5,7 +5,7 @@
 
 use crate::scenes::parallel_camera;
 use heliosplat::Raster;
-use heliosplat_raster::{ImageSpec, Sample, write_geotiff};
+use heliosplat_raster::{ImageSpec, SampleType, write_geotiff};
 use heliosplat_rpc::write;
 use rayon::prelude::*;
 use serde_json::json;
@@ -58,7 +58,7 @@ impl Pair {
                 ..ImageSpec::plain(&raster)
             };
             let path = folder.join(format!("{name}.tif"));
-            write_geotiff(&path, &spec, Sample::U16).expect("the image is written");
+            write_geotiff(&path, &spec, SampleType::U16).expect("the image is written");
             let said = json!({
                 "img": format!("{name}.tif"), "min_alt": ALTITUDES_M[0], "max_alt": ALTITUDES_M[1],
                 "acquisition_date": date, "rpc": write::satnerf_json_rpc(&rpc),

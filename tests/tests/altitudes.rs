@@ -1,7 +1,7 @@
 //! Altitudes of a scene that states none.
 
 use heliosplat::Raster;
-use heliosplat_raster::{ImageSpec, RasterFile, Sample, write_geotiff};
+use heliosplat_raster::{ImageSpec, RasterFile, SampleType, write_geotiff};
 use heliosplat_rpc::write;
 use heliosplat_scene::{IngestOptions, Scene};
 use heliosplat_tests::program::{json, tiny_scene};
@@ -80,7 +80,7 @@ fn on_a_canvas(view: &View, folder: &Path, (col, row): (usize, usize)) {
         rpc: &rpc,
         ..ImageSpec::plain(&canvas)
     };
-    write_geotiff(&shown, &spec, Sample::U16).expect("written");
+    write_geotiff(&shown, &spec, SampleType::U16).expect("written");
 }
 
 const SIDE_PX: usize = 640;

@@ -1,7 +1,7 @@
 //! A run is measured on the pixels that it was trained on: the same windows, cameras and scale, or it is refused in one
 //! line.
 
-use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
+use heliosplat_raster::write::{ImageSpec, SampleType, write_geotiff};
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::write::gdal_domain;
 use heliosplat_tests::program::{fault, heliosplat, json};
@@ -123,7 +123,7 @@ fn a_scene_that_has_changed_is_refused_with_the_first_difference() {
         rpc: &rpc,
         ..ImageSpec::plain(&crop)
     };
-    write_geotiff(&image, &spec, Sample::U16).expect("written");
+    write_geotiff(&image, &spec, SampleType::U16).expect("written");
     trained.is_refused("view_1.tif", "60 x 50 pixels");
     // The same bytes, written at another time, are the same image.
     fs::write(&image, &bytes).expect("written");

@@ -2,7 +2,7 @@
 //! bits, and images of several resolutions.
 
 use heliosplat::Raster;
-use heliosplat_raster::{Crs, CrsTransform, GeoTransform, ImageSpec, RasterFile, Sample, Window, write_geotiff};
+use heliosplat_raster::{Crs, CrsTransform, GeoTransform, ImageSpec, RasterFile, SampleType, Window, write_geotiff};
 use heliosplat_rpc::read::gdal_domain;
 use heliosplat_rpc::{Rpc, write};
 use heliosplat_scene::{Index, IngestOptions, RpcPreference, Scene, SceneError, ValueKind, Values};
@@ -43,7 +43,7 @@ fn write_multispectral(path: &Path, view: &View, moved_px: f64, date: &str) {
         rpc: &rpc,
         ..ImageSpec::plain(&bands)
     };
-    write_geotiff(path, &spec, Sample::U16).expect("written");
+    write_geotiff(path, &spec, SampleType::U16).expect("written");
     let text = format!("{{\"img\": \"x.tif\", \"acquisition_date\": \"{date}\"}}");
     fs::write(path.with_extension("json"), text).expect("written");
 }
@@ -151,7 +151,7 @@ fn cut(view: &View, home: &Path, whole: &Path, name: &dyn Fn(usize, usize) -> St
                 ..ImageSpec::plain(&pixels)
             };
             let name = format!("{}.tif", name(row + 1, col + 1));
-            write_geotiff(&home.join(name), &spec, Sample::U16).expect("written");
+            write_geotiff(&home.join(name), &spec, SampleType::U16).expect("written");
         }
     }
     fs::remove_file(&path).expect("removed");
@@ -288,7 +288,7 @@ fn stretch(path: &Path, gain: f32) {
         band_descriptions: &names,
         ..ImageSpec::plain(&raster)
     };
-    write_geotiff(path, &spec, Sample::U8).expect("written");
+    write_geotiff(path, &spec, SampleType::U8).expect("written");
 }
 
 #[test]
@@ -341,7 +341,7 @@ fn halve(path: &Path) {
         band_descriptions: &names,
         ..ImageSpec::plain(&raster)
     };
-    write_geotiff(path, &spec, Sample::U16).expect("written");
+    write_geotiff(path, &spec, SampleType::U16).expect("written");
     let json = path.with_extension("json");
     let mut said: Value = serde_json::from_slice(&fs::read(&json).expect("text")).expect("JSON");
     said["rpc"] = write::satnerf_json_rpc(&rpc);
@@ -463,7 +463,7 @@ fn retag(path: &Path, rpc: Option<&Rpc>, georeference: Option<(&GeoTransform, &C
         metadata,
         ..ImageSpec::plain(&raster)
     };
-    write_geotiff(path, &spec, Sample::U16).expect("written");
+    write_geotiff(path, &spec, SampleType::U16).expect("written");
 }
 
 /// A camera as an RPB of this specification.
@@ -774,7 +774,7 @@ fn an_image_that_was_halved_without_its_rpc_is_named() {
         rpc: &rpc,
         ..ImageSpec::plain(&halved)
     };
-    write_geotiff(&path, &spec, Sample::U16).expect("written");
+    write_geotiff(&path, &spec, SampleType::U16).expect("written");
     let (codes, seen) = inspected(home.path(), &[]);
     assert_eq!(codes, ["rpc-of-another-size"]);
     let finding = &seen["findings"][0];
@@ -802,7 +802,7 @@ fn own_outputs_among_the_images_are_neither_truth_nor_images() {
             metadata: &items,
             ..ImageSpec::plain(&raster)
         };
-        write_geotiff(&home.path().join(name), &spec, Sample::F32).expect("written");
+        write_geotiff(&home.path().join(name), &spec, SampleType::F32).expect("written");
     };
     for name in ["dsm.tif", "surface.tif"] {
         write(name, Some("heliosplat 0.1.0"));
@@ -864,7 +864,7 @@ fn masks_of_planet_are_masks_of_their_images() {
             mask.plane_mut(1)[index] = if is_snow(col, row) { 1.0 } else { 0.0 };
         }
         let path = home.path().join(format!("{}_basic_panchromatic_udm2.tif", view.name));
-        write_geotiff(&path, &ImageSpec::plain(&mask), Sample::U8).expect("written");
+        write_geotiff(&path, &ImageSpec::plain(&mask), SampleType::U8).expect("written");
     }
     let index = Index::open(home.path(), RpcPreference::Json).expect("a delivery");
     assert_eq!(index.images.len(), 3);
@@ -908,7 +908,7 @@ fn write_bands(path: &Path, view: &View, values: &[f32]) {
         rpc: &rpc,
         ..ImageSpec::plain(&raster)
     };
-    write_geotiff(path, &spec, Sample::U16).expect("written");
+    write_geotiff(path, &spec, SampleType::U16).expect("written");
 }
 
 #[test]
@@ -990,7 +990,7 @@ fn an_image_that_fits_no_other_is_named_and_not_called_cloudy() {
         band_descriptions: &bands,
         ..ImageSpec::plain(&raster)
     };
-    write_geotiff(&path, &spec, Sample::U16).expect("written");
+    write_geotiff(&path, &spec, SampleType::U16).expect("written");
     let name = image["name"].as_str().expect("a name");
     let out = home.path().join("dsm.tif").display().to_string();
     let output = heliosplat(&["dsm", &word, "--from", "sweep", "--out", &out])

@@ -3,7 +3,7 @@
 
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags, Metadata};
-use heliosplat_raster::{ImageSpec, Sample, write_geotiff};
+use heliosplat_raster::{ImageSpec, SampleType, write_geotiff};
 use heliosplat_tests::measured::{self, Measured};
 use heliosplat_tests::program::{binary, json};
 use heliosplat_tests::scenes::{View, parallel_camera, write_scene};
@@ -598,7 +598,7 @@ fn averaged_views(home: &Path) {
             rpc: &rpc,
             ..ImageSpec::plain(&raster)
         };
-        write_geotiff(&home.join(format!("view_{number}.tif")), &spec, Sample::U16).expect("written");
+        write_geotiff(&home.join(format!("view_{number}.tif")), &spec, SampleType::U16).expect("written");
     }
 }
 

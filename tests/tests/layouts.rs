@@ -1,7 +1,7 @@
 //! Layouts of scenes on disk: folders of Sat-NeRF and EOGS with images, cameras and truth apart, lists, `scene.toml`,
 //! crops.
 
-use heliosplat_raster::{ImageSpec, RasterFile, Sample, write_geotiff};
+use heliosplat_raster::{ImageSpec, RasterFile, SampleType, write_geotiff};
 use heliosplat_scene::{IngestOptions, RpcPreference, Scene, SceneError, Split, SunSource};
 use heliosplat_tests::scenes::{SIZE_PX, View, write_altitudes, write_scene};
 use std::fs;
@@ -73,7 +73,7 @@ fn parts(site: &str, images: &Path, cameras: &Path, truth: &Path) {
             .read_all()
             .expect("pixels");
         fs::remove_file(&with_tag).expect("removed");
-        write_geotiff(&with_tag, &ImageSpec::plain(&pixels), Sample::U16).expect("written");
+        write_geotiff(&with_tag, &ImageSpec::plain(&pixels), SampleType::U16).expect("written");
     }
     let line = |number: usize| format!("{site}_{number:03}_RGB.json\n");
     fs::write(cameras.join("train.txt"), line(0) + &line(1) + &line(2)).expect("written");
@@ -174,7 +174,7 @@ fn truth_of_another_area_is_not_taken() {
     // The right name on the wrong ground, placed by its text: 2 km east.
     let ground = heliosplat::Raster::filled(8, 8, 1, 700.0);
     let dsm = truth.join("JAX_068_DSM.tif");
-    write_geotiff(&dsm, &ImageSpec::plain(&ground), Sample::F32).expect("written");
+    write_geotiff(&dsm, &ImageSpec::plain(&ground), SampleType::F32).expect("written");
     let origin = open(&cameras).expect("a scene").origin();
     let utm = heliosplat_raster::Crs::utm(origin).expect("a zone");
     let (east, north) = heliosplat_raster::CrsTransform::from_lon_lat(&utm)
@@ -206,7 +206,7 @@ fn crops_and_whole_images_of_one_name_are_told_apart_by_their_size() {
         }
         fs::write(&camera, json.to_string()).expect("written");
         let path = whole.join(format!("JAX_068_{number:03}_RGB.tif"));
-        write_geotiff(&path, &ImageSpec::plain(&large), Sample::U16).expect("written");
+        write_geotiff(&path, &ImageSpec::plain(&large), SampleType::U16).expect("written");
     }
     let scene = open(&home.path().join("root_dir/crops_rpcs_ba_v2/JAX_068")).expect("a scene");
     assert!(scene.images.iter().all(|image| image.pixels.width == SIZE_PX));
@@ -315,7 +315,7 @@ fn write_crop(folder: &Path, view: &View, origin: [f64; 2]) {
         rpc: &rpc,
         ..ImageSpec::plain(&pixels)
     };
-    write_geotiff(&path, &spec, Sample::U16).expect("written");
+    write_geotiff(&path, &spec, SampleType::U16).expect("written");
     let metadata = path.with_extension("json");
     fs::write(
         metadata,
@@ -483,7 +483,7 @@ fn nodata_is_missing_and_does_not_count_as_seen() {
         rpc: &rpc,
         ..ImageSpec::plain(&pixels)
     };
-    write_geotiff(&path, &spec, Sample::F32).expect("written");
+    write_geotiff(&path, &spec, SampleType::F32).expect("written");
     let scene = open(folder.path()).expect("a scene");
     assert_eq!(scene.views_covering(0.0, 8.0, 0.0), 2);
     assert_eq!(scene.views_covering(0.0, -8.0, 0.0), 3);

@@ -6,7 +6,9 @@ use gdal::{Dataset, DriverManager, config};
 use heliosplat::Raster;
 use heliosplat_evaluate::{EvaluateError, Protocol, evaluate_dsm};
 use heliosplat_raster::geoid::Undulation;
-use heliosplat_raster::{Crs, GeoRaster, GeoTransform, Geoid, ImageSpec, RasterFile, Sample, messages, write_geotiff};
+use heliosplat_raster::{
+    Crs, GeoRaster, GeoTransform, Geoid, ImageSpec, RasterFile, SampleType, messages, write_geotiff,
+};
 use heliosplat_tests::program::{fault, json};
 use heliosplat_tests::scenes::write_altitudes;
 use std::fs;
@@ -160,7 +162,7 @@ fn write_in(path: &Path, metres: f64, unit: &str, crs: &str) {
         georeference: Some((&transform, &crs)),
         ..ImageSpec::plain(&raster)
     };
-    write_geotiff(path, &spec, Sample::F32).expect("written");
+    write_geotiff(path, &spec, SampleType::F32).expect("written");
 }
 
 #[test]

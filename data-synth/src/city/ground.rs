@@ -75,8 +75,8 @@ pub(crate) struct Pond {
     pub(crate) level_m: f64,
 }
 
-/// Everything that covers the ground.
-pub(crate) struct Ground {
+/// The cover of the ground: zones, and the sea or snow over one half.
+pub(crate) struct GroundCover {
     bend: Bend,
     zones: Vec<Zone>,
     by_square: HashMap<(i64, i64), Vec<u32>>,
@@ -86,7 +86,7 @@ pub(crate) struct Ground {
     covered: Option<Covered>,
 }
 
-impl Ground {
+impl GroundCover {
     /// Sorts the zones for look-up. Later zones lie over earlier ones.
     pub(crate) fn new(bend: Bend, zones: Vec<Zone>, seed: u32) -> Self {
         let mut by_square: HashMap<(i64, i64), Vec<u32>> = HashMap::new();

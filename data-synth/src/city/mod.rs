@@ -11,7 +11,7 @@ mod trees;
 mod works;
 
 pub(crate) use changes::Changes;
-pub(crate) use ground::Ground;
+pub(crate) use ground::GroundCover;
 
 use crate::cars::CarSlot;
 use crate::cover::{Coast, Covered, Shore};
@@ -30,7 +30,7 @@ use streets::{Bend, Block, Street, StreetPlan};
 
 /// Width of the pavement between kerb and building line, metres.
 const PAVEMENT_M: f64 = 2.4;
-/// Nothing stands nearer to the sea, metres.
+/// Least distance of objects from the sea, metres.
 const QUAY_M: f64 = 1.0;
 /// Side of a terrain cell, metres.
 const TERRAIN_CELL_M: f64 = 1.0;
@@ -49,7 +49,7 @@ pub(crate) struct CityPlan {
 /// A city and the ground it stands on.
 pub(crate) struct City {
     pub(crate) terrain: HeightField,
-    pub(crate) ground: Ground,
+    pub(crate) ground: GroundCover,
     buildings: Vec<Building>,
     trees: Vec<Tree>,
     hedges: Vec<Hedge>,
@@ -112,7 +112,7 @@ impl City {
         let terrain = HeightField::sample(plan.half_extent_m, TERRAIN_CELL_M, |x, y| landform.height_m(x, y));
         Self {
             terrain,
-            ground: Ground::new(bend, planner.zones, hash2(seed, 0x60) as u32).under(covered),
+            ground: GroundCover::new(bend, planner.zones, hash2(seed, 0x60) as u32).under(covered),
             buildings: planner.buildings,
             trees: planner.trees,
             hedges: planner.hedges,
@@ -136,7 +136,7 @@ impl City {
         self.buildings.iter().enumerate().filter_map(here).max()
     }
 
-    /// Everything that stands still on a date: the scene of the truth rasters.
+    /// All solids that stand still on a date: the scene of the truth rasters.
     pub(crate) fn solids(&self, date: usize) -> Solids {
         let mut solids = Solids::default();
         let height_at = |x: f64, y: f64| self.terrain.height_m(x, y);

@@ -13,7 +13,7 @@ use crate::vegetation::{Hedge, Tree, TreeKind};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-/// Everything that has been put into the city so far.
+/// The objects in the city so far.
 pub(crate) struct Planner {
     pub(crate) bend: Bend,
     pub(crate) relief: Relief,

@@ -17,7 +17,7 @@ pub enum Capture {
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
-    /// Nothing glossy.
+    /// Diffuse reflection alone.
     Matte,
     /// Metal with a grain.
     Brushed,
@@ -34,7 +34,7 @@ pub struct ObjectRequest {
     pub capture: Capture,
     /// Its material.
     pub look: Look,
-    /// Everything random follows from it.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// Images to train with; `None` for the usual number of such captures.
     pub views: Option<usize>,

@@ -1,4 +1,4 @@
-//! Doing all units of a batch on this machine, some at a time, each a process of its own.
+//! Runs all units of a batch on this machine, a few at a time, each in its own process.
 //!
 //! A unit's process ends with this one: its standard input is a pipe that closes when this process goes, however it goes. So nobody
 //! works on after a batch that was killed, and the next one finds what there is.
@@ -109,7 +109,7 @@ impl Batch<'_> {
             looks += 1;
             if looks % LOOKS_PER_READING == 0 {
                 for r in &running {
-                    r.line.say(&last_line(&log_of(self.out, r.unit)));
+                    r.line.message(&last_line(&log_of(self.out, r.unit)));
                 }
             }
             let mut left = Vec::with_capacity(running.len());

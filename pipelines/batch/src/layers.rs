@@ -86,7 +86,7 @@ impl Layer {
         let mut gains = vec![vec![1.0; bands]; self.rasters.len()];
         for band in 0..bands {
             let ratios = self.ratios(pieces, band, gsd_m);
-            let logs = settled(&ratios, self.rasters.len());
+            let logs = balanced_gains(&ratios, self.rasters.len());
             for (raster, (log, gain)) in self.rasters.iter_mut().zip(logs.iter().zip(&mut gains)) {
                 gain[band] = log.exp();
                 let Some(raster) = raster else { continue };
@@ -173,7 +173,7 @@ impl Layer {
 
 /// The logarithms of gains with which what was told of pairs agrees best: `x_a - x_b = -log(a / b)` by least squares over the cells, solved
 /// by conjugate gradients (Hestenes and Stiefel 1952). From zero these stay at a mean of zero, in each part of the tiles that overlaps no other.
-fn settled(ratios: &[(usize, usize, f64, usize)], count: usize) -> Vec<f64> {
+fn balanced_gains(ratios: &[(usize, usize, f64, usize)], count: usize) -> Vec<f64> {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let mut logs = vec![0.0; count];
     let mut residual = vec![0.0; count];
@@ -253,7 +253,7 @@ mod tests {
             let there = pairs.into_iter().filter(|(there, ..)| *there);
             ratios.extend(there.map(|(_, other, cells)| (k, other, gain(other) - gain(k), cells)));
         }
-        let found = settled(&ratios, SIDE * SIDE);
+        let found = balanced_gains(&ratios, SIDE * SIDE);
         for (k, found) in found.iter().enumerate() {
             assert!((found - (gain(k) - mean)).abs() < 1e-6, "{k}: {found}");
         }

@@ -1,4 +1,4 @@
-//! The manifest: which areas, which images of them, which ways to train.
+//! The manifest of a batch: areas, sets of images, presets.
 
 use super::BatchError;
 use super::tiles::LEAST_SIDE_M;

@@ -1,4 +1,4 @@
-//! One surface model of those of tiles.
+//! The surface model of an area, merged from those of its tiles.
 
 use super::BatchError;
 use super::plan::{MosaicTile, MosaicWork};

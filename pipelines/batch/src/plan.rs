@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 /// Bytes per cell of a mosaic while its surface model is made: three bands of tiles and of the mosaic, weights, the file in memory.
 const MOSAIC_BYTES_PER_CELL: f64 = 120.0;
-/// The same for each band of its albedo.
+/// Memory of a mosaic for each cell and band of its albedo, bytes.
 const MOSAIC_BYTES_PER_CELL_AND_BAND: f64 = 24.0;
 /// Memory of any unit, bytes.
 const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
@@ -46,7 +46,7 @@ const MADE: &str = "made.json";
 /// Most files and folders of a refused scene that are watched for changes.
 const LISTED_MAX: usize = 10_000;
 
-/// All that is to be done.
+/// The plan of a batch: its units, in an order in which they can be run.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Plan {
     /// The units, each after those that it waits for.
@@ -82,7 +82,7 @@ pub enum Work {
     Tile(TileWork),
     /// Makes one surface model of those of the tiles.
     Mosaic(MosaicWork),
-    /// Nothing: its scene cannot be used.
+    /// A scene that cannot be used.
     Refused {
         /// Why.
         reason: String,
@@ -98,7 +98,7 @@ pub struct AdjustWork {
     pub patches: Vec<AreaRequest>,
     /// Lowest and highest ellipsoidal altitude, metres.
     pub altitude_m: Option<[f64; 2]>,
-    /// The same as tie points gave it, where none is stated.
+    /// Altitude range from tie points, if none is stated.
     pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Preferred camera model of the images.
     pub rpc: RpcPreference,
@@ -115,7 +115,7 @@ pub struct TileWork {
     pub area: AreaRequest,
     /// Lowest and highest ellipsoidal altitude, metres.
     pub altitude_m: Option<[f64; 2]>,
-    /// The same as tie points between the images of the whole area gave it, where none is stated.
+    /// Altitude range from tie points of the whole area, if none is stated.
     #[serde(default)]
     pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Preferred camera model of the images.
@@ -158,7 +158,7 @@ pub struct MosaicTile {
     pub unit: String,
     /// West, south, east, north of what is its alone.
     pub core: [f64; 4],
-    /// Of all of it.
+    /// Bounds of the whole area.
     pub bounds: [f64; 4],
 }
 
@@ -186,7 +186,7 @@ pub struct Units<'a> {
 }
 
 impl<'a> Units<'a> {
-    /// Those of the plan that is kept in `out`, as long as it is that of the manifest.
+    /// Units of the plan in `out`, if it is that of the manifest.
     ///
     /// # Errors
     /// When the manifest is at fault.

@@ -16,7 +16,7 @@ use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::points;
 use heliosplat_products::set::{self, Request, dates, only_sun, times};
 use heliosplat_products::sunshine::sunshine;
-use heliosplat_products::writer::{Said, Writer};
+use heliosplat_products::writer::{ItemMetadata, Writer};
 use heliosplat_raster::preview;
 use heliosplat_rpc::sun::SunPosition;
 use serde_json::{Value, json};
@@ -130,14 +130,14 @@ pub fn of_mosaic(
     let albedo = albedo.merged(pieces, size, gsd_m, Merge::Mean);
     let index = models.files.first().and_then(ModelFile::ndvi);
     writer.colours(&albedo, bands, index)?;
-    let look = Look::new(&albedo, folder);
+    let look = OrthoPreview::new(&albedo, folder);
     look.write("albedo", None)?;
     if let Some(sun) = work.products.sun.map(sun_of) {
         let mut image = read("relit.tif")?;
         image.balance(pieces, gsd_m);
         let image = image.merged(pieces, size, gsd_m, Merge::Mean);
         writer.relit(&image, &mask("relit_shadow.tif")?, bands, &sun)?;
-        Look::new(&image, folder).write("relit", None)?;
+        OrthoPreview::new(&image, folder).write("relit", None)?;
     }
     if let Some(days) = &work.products.sun_hours {
         let period = days.parse().map_err(BatchError::Refused)?;
@@ -175,7 +175,7 @@ pub fn of_mosaic(
         writer.page(view::FILE, "The surface in a browser, under a sun that can be moved");
     }
     let runs: Vec<&Path> = models.runs.iter().map(PathBuf::as_path).collect();
-    let set = writer.finish(&Said {
+    let set = writer.finish(&ItemMetadata {
         id: &item_id(&unit.id),
         times: &times(&images, &runs),
         sun: only_sun(&images, &dates),
@@ -233,13 +233,13 @@ fn globe(
 }
 
 /// Pictures of an ortho image, small enough to be looked at.
-struct Look {
+struct OrthoPreview {
     image: Raster,
     step: usize,
     folder: PathBuf,
 }
 
-impl Look {
+impl OrthoPreview {
     fn new(image: &Raster, folder: &Path) -> Self {
         let step = image.width.max(image.height).div_ceil(PICTURE_PX).max(1);
         Self {

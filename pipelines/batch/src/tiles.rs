@@ -1,4 +1,4 @@
-//! Cutting an area into tiles: as few as fit into memory, small enough that a pinhole camera stands for each image.
+//! Tiles of an area: as few as fit into memory, small enough that pinhole cameras fit the RPCs.
 //!
 //! Cores lie on the cells of the mosaic's grid and share nothing; a tile is its core and what it shares with its neighbours. A tile
 //! also knows its neighbours' ground because shadows fall from there, and because the mosaic needs two opinions where it changes from

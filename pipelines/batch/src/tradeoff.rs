@@ -76,7 +76,7 @@ impl Sweep {
         let progress = session.progress("trainings", jobs.len() as u64);
         let mut rows = Vec::new();
         for (done, job) in jobs.iter().enumerate() {
-            progress.say(&format!("{} {} seed {}", job.scene_name, job.point.name, job.seed));
+            progress.message(&format!("{} {} seed {}", job.scene_name, job.point.name, job.seed));
             if session.stopped() {
                 return Err(BatchError::Interrupted(format!(
                     "stopped; the {done} trainings that are done are kept, run the same command to go on"

@@ -1,4 +1,4 @@
-//! Doing one unit.
+//! One unit of a batch: its training or mosaic, products, page and stamp.
 
 use super::BatchError;
 use super::mosaic::mosaic;

@@ -28,7 +28,7 @@ pub struct IngestArgs {
 }
 
 impl IngestArgs {
-    /// As the scene reader takes it.
+    /// Options of the scene reader.
     pub fn options(&self) -> IngestOptions {
         IngestOptions {
             altitude_range_m: self.altitude.map(|[low, high]| (low, high)),
@@ -103,7 +103,7 @@ pub struct NamedScene {
 }
 
 impl NamedScene {
-    /// Of what is named.
+    /// The scene that `named` forms.
     ///
     /// # Errors
     /// As [`scene_of`].

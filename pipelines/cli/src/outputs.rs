@@ -1,4 +1,4 @@
-//! Rules for what a command writes: it takes the place of nothing that the command reads, and its extension is its format.
+//! Rules for outputs: none replaces an input of the command, and the extension is the format.
 
 use crate::outcome::CliError;
 use heliosplat_fitting::run_folder::inputs;

@@ -1,4 +1,4 @@
-//! Values of arguments: what they look like, and what is said when they do not.
+//! Parsers of argument values, with messages that state the expected form.
 
 pub use heliosplat_batch::manifest::bytes;
 use heliosplat_rpc::sun::SunPosition;

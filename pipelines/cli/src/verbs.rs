@@ -1,4 +1,4 @@
-//! The verbs of the program: the arguments of each, and what it does with them.
+//! The verbs of the program, with their arguments.
 
 pub mod adjust;
 pub mod batch;

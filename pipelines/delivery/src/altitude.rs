@@ -1,4 +1,4 @@
-//! The altitudes a scene's surface may have: said by the user or by its files, found from tie points, or all that the cameras are valid for.
+//! Altitude range of a scene: stated by the user or its files, found from tie points, or the validity range of the cameras.
 
 use super::SceneError;
 
@@ -10,7 +10,7 @@ pub enum AltitudeSource {
     Given,
     /// Tie points between the images gave it.
     Ties,
-    /// Nothing is known but the heights that the RPC cameras are valid for.
+    /// The validity range of the RPCs.
     Cameras,
 }
 
@@ -23,7 +23,7 @@ pub struct AltitudeRange {
     pub high_m: f64,
     /// Their source.
     pub source: AltitudeSource,
-    /// The same in words.
+    /// Source of the range, in words.
     pub words: String,
 }
 
@@ -45,10 +45,10 @@ pub struct Stated {
 
 /// Altitudes stated for a whole scene, metres above the ellipsoid.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct Said {
+pub(super) struct StatedAltitudes {
     /// The user's.
     pub(super) option_m: Option<(f64, f64)>,
-    /// That of `scene.toml`.
+    /// Range in `scene.toml`.
     pub(super) manifest_m: Option<(f64, f64)>,
     /// Range of the tie points.
     pub(super) ties_m: Option<(f64, f64)>,
@@ -58,7 +58,11 @@ pub(super) struct Said {
 const EARTH_M: (f64, f64) = (-500.0, 9000.0);
 
 /// The range to use: the option's, that of `scene.toml`, that of the JSONs together, that of the tie points, or what all RPCs are valid for.
-pub(super) fn choose(said: Said, stated: &[Stated], warnings: &mut Vec<String>) -> Result<AltitudeRange, SceneError> {
+pub(super) fn choose(
+    said: StatedAltitudes,
+    stated: &[Stated],
+    warnings: &mut Vec<String>,
+) -> Result<AltitudeRange, SceneError> {
     if let Some(range) = said.option_m {
         return checked(range, AltitudeSource::Given, "as given");
     }
@@ -131,13 +135,13 @@ mod tests {
             image(Some((5.0, 40.0)), (0.0, 950.0)),
         ];
         let bare = [image(None, (-50.0, 900.0)), image(None, (0.0, 950.0))];
-        let all = Said {
+        let all = StatedAltitudes {
             option_m: Some((1.0, 2.0)),
             manifest_m: Some((3.0, 4.0)),
             ties_m: Some((6.0, 7.0)),
         };
-        let files = Said { option_m: None, ..all };
-        let ties = Said {
+        let files = StatedAltitudes { option_m: None, ..all };
+        let ties = StatedAltitudes {
             manifest_m: None,
             ..files
         };
@@ -150,16 +154,19 @@ mod tests {
         assert_eq!(range(files, &images), ((3.0, 4.0), AltitudeSource::Given));
         assert_eq!(range(ties, &images), ((5.0, 50.0), AltitudeSource::Given));
         assert_eq!(range(ties, &bare), ((6.0, 7.0), AltitudeSource::Ties));
-        assert_eq!(range(Said::default(), &bare), ((0.0, 900.0), AltitudeSource::Cameras));
+        assert_eq!(
+            range(StatedAltitudes::default(), &bare),
+            ((0.0, 900.0), AltitudeSource::Cameras)
+        );
         assert_eq!(warnings.len(), 1);
     }
 
     #[test]
     fn a_range_upside_down_or_off_the_earth_is_an_error() {
         for bad in [(5.0, 5.0), (9.0, 1.0), (f64::NAN, 3.0), (0.0, 1e6)] {
-            let said = Said {
+            let said = StatedAltitudes {
                 option_m: Some(bad),
-                ..Said::default()
+                ..StatedAltitudes::default()
             };
             assert!(choose(said, &[], &mut Vec::new()).is_err(), "{bad:?}");
         }

@@ -1,4 +1,4 @@
-//! The rational camera of an image: which of its sources is used, and what it must be turned into for a crop.
+//! The rational camera of an image: choice among its sources, and conversion for a crop.
 
 use super::dimap::folder_of;
 use super::entry::ImageEntry;

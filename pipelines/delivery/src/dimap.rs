@@ -1,4 +1,4 @@
-//! DIMAP files (`DIM_*.XML`) beside images: which files they list as tiles of one image, whatever these are called.
+//! DIMAP files (`DIM_*.XML`) beside images: tiles of one image, whatever their names.
 
 use super::SceneError;
 use super::files::{Folders, file_name, has_extension};

@@ -48,7 +48,7 @@ pub(super) fn read_all(
         });
     }
     let drafts = pairs::by_time(drafts, declared, folders)?;
-    warnings.extend(pairs::told(&drafts));
+    warnings.extend(pairs::joined_pairs(&drafts));
     let stacked: Vec<&Draft> = drafts
         .iter()
         .filter(|draft| !draft.entry.tiles.more.is_empty())

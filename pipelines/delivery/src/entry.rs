@@ -1,4 +1,4 @@
-//! One image of a scene before anything of it is read.
+//! One image of a scene before its pixels are read.
 
 use super::Split;
 use super::manifest::ManifestImage;

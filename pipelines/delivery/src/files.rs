@@ -1,4 +1,4 @@
-//! Files and folders of a scene by their names: what is an image, what is truth, and where the other half of a scene may lie.
+//! Files and folders of a scene by name: images, truth, and folders of the published layouts.
 
 use super::SceneError;
 use super::dimap::Dimaps;

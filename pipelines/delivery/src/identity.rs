@@ -86,7 +86,7 @@ pub struct Hashes {
 }
 
 impl Hashes {
-    /// Those that are kept in `out`.
+    /// The hashes that are kept in `out`.
     pub fn open(out: &Path) -> Self {
         let text = read_bytes(&out.join(HASHES), TEXT_MAX).unwrap_or_default();
         Self {

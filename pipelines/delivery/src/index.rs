@@ -1,6 +1,6 @@
 //! The index of a delivery: its files, cameras, times, suns, bands, values and truth, as one value. No pixels.
 
-use super::altitude::{self, AltitudeRange, Said, Stated};
+use super::altitude::{self, AltitudeRange, Stated, StatedAltitudes};
 use super::bands::BandPlan;
 use super::calibration::FoundRadiometry;
 use super::checks::{self, Finding, Severity};
@@ -131,7 +131,7 @@ impl Index {
         warnings: &mut Vec<String>,
     ) -> Result<AltitudeRange, SceneError> {
         let stated: Vec<Stated> = self.images.iter().map(|image| image.altitude).collect();
-        let said = Said {
+        let said = StatedAltitudes {
             option_m: wanted,
             manifest_m: self.altitude_range_m,
             ties_m: from_ties,
@@ -259,7 +259,7 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft], folders: &Fo
         files.extend(sidecars::belonging_texts(image, folders).unwrap_or_default());
         for image in std::iter::once(image).chain(draft.file.others()) {
             files.insert(image.clone());
-            files.extend(beside(image, folders));
+            files.extend(sibling_files(image, folders));
             files.extend(super::files::usable_mask(image, folders));
         }
     }
@@ -271,7 +271,7 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft], folders: &Fo
 }
 
 /// Files in an image's folder whose names contain its own.
-fn beside(image: &Path, folders: &Folders) -> Vec<PathBuf> {
+fn sibling_files(image: &Path, folders: &Folders) -> Vec<PathBuf> {
     if is_virtual(image) {
         return Vec::new();
     }

@@ -99,7 +99,7 @@ fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
             name: stem(&image.path),
             path: image.path.clone(),
             split: image.split.unwrap_or(Split::Train),
-            json: satnerf::beside(&image.path, folders),
+            json: satnerf::json_of(&image.path, folders),
             said: Some(image.clone()),
             tiles: ImageFiles::one(image.path.clone()),
             multispectral: None,
@@ -294,7 +294,7 @@ impl CameraFolder {
     }
 }
 
-/// Of folders with cameras of the same images the best, and the others with a warning; one per scene remains.
+/// The best of several folders with cameras of the same images, with a warning that names the others.
 fn best_cameras(top: &Path, mut candidates: Vec<CameraFolder>) -> Vec<(PathBuf, Option<String>)> {
     candidates.sort_by_key(|folder| {
         let kind = camera_kind(&folder.path);

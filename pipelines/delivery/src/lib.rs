@@ -165,7 +165,7 @@ pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneErr
         name: files::stem(path),
         path: path.to_owned(),
         split: Split::Train,
-        json: satnerf::beside(path, &folders),
+        json: satnerf::json_of(path, &folders),
         said: None,
         tiles: ImageFiles::one(path.to_owned()),
         multispectral: None,

@@ -1,4 +1,4 @@
-//! Panchromatic and multispectral files of one acquisition as vendors' names tell them: `-P1BS-` and `-M1BS-` of Maxar, `_P_` and `_MS_` of
+//! Panchromatic and multispectral files of one acquisition recognised by vendors' names: `-P1BS-` and `-M1BS-` of Maxar, `_P_` and `_MS_` of
 //! Airbus, `PAN` and `MSS` or `MUX` of GaoFen and SuperView.
 
 use super::files::stem;

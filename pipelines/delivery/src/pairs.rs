@@ -1,4 +1,4 @@
-//! Panchromatic and multispectral images of one acquisition: which belong together, and one image of both.
+//! Panchromatic and multispectral images of one acquisition: pairing, and one image of both.
 //!
 //! Vendors deliver such bundles in two files of the same ground and second. They are told by their names (`pair_names.rs`), or by their
 //! times; their cameras must agree.
@@ -47,7 +47,7 @@ pub(super) fn with_colours(
         name: stem(&multispectral.path),
         path: multispectral.path.clone(),
         split: Split::Train,
-        json: satnerf::beside(&multispectral.path, folders),
+        json: satnerf::json_of(&multispectral.path, folders),
         said: None,
         tiles: multispectral.clone(),
         multispectral: None,
@@ -202,7 +202,7 @@ pub(super) fn by_time(
 }
 
 /// The line that says which images were joined.
-pub(super) fn told(drafts: &[Draft]) -> Option<String> {
+pub(super) fn joined_pairs(drafts: &[Draft]) -> Option<String> {
     let joined: Vec<&Draft> = drafts.iter().filter(|draft| draft.multispectral.is_some()).collect();
     let first = joined.first()?;
     let colours = first.multispectral.as_deref().unwrap_or_else(|| Path::new(""));

@@ -1,4 +1,4 @@
-//! The JSON files of Sat-NeRF and EOGS: which image each describes, and the altitudes it states.
+//! The JSON files of Sat-NeRF and EOGS: image and altitudes of each.
 
 use super::SceneError;
 use super::files::{Folders, file_name, has_extension, neighbours, stem};
@@ -47,7 +47,7 @@ pub(super) fn image_and_altitudes(text: &str) -> Option<(String, [Option<f64>; 2
 }
 
 /// The Sat-NeRF JSON of an image in the same folder, by its name.
-pub(super) fn beside(image: &Path, folders: &Folders) -> Option<PathBuf> {
+pub(super) fn json_of(image: &Path, folders: &Folders) -> Option<PathBuf> {
     let json = image.with_extension("json");
     (json.is_file() && describe(&json, folders).is_some()).then_some(json)
 }

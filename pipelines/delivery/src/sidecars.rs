@@ -1,4 +1,4 @@
-//! The text files beside an image that say something of it, found by their names.
+//! The text files beside an image, found by their names.
 
 use super::dimap::folder_of;
 use super::entry::ImageEntry;

@@ -1,4 +1,4 @@
-//! The bands of one acquisition in several files as vendors' names tell them: `…_RGB_…` and `…_NED_…` of Pleiades Neo, `…_red_…`, `…_grn_…`,
+//! The bands of one acquisition in several files, recognised by vendors' names: `…_RGB_…` and `…_NED_…` of Pleiades Neo, `…_red_…`, `…_grn_…`,
 //! `…_blu_…` and `…_nir_…` of GeoEye.
 
 use super::SceneError;

@@ -1,4 +1,4 @@
-//! The sun of an image: where it stood, how well that is known, and who says so. It may be unknown.
+//! The sun of an image: direction, standard deviation and source. It may be unknown.
 
 use heliosplat_rpc::sun::SunPosition;
 
@@ -52,7 +52,7 @@ impl ImageSun {
         Self::known(position, TIME_SIGMA_DEG, SunSource::Time)
     }
 
-    /// As metadata state it.
+    /// A sun from metadata.
     pub fn from_metadata(position: SunPosition) -> Self {
         Self::known(position, METADATA_SIGMA_DEG, SunSource::Metadata)
     }

@@ -1,4 +1,4 @@
-//! Images that their vendor cut into tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
+//! Images delivered in tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
 
 use super::files::{Folders, has_extension, stem};
 use super::{SceneError, dimap};

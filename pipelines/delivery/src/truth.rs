@@ -23,15 +23,15 @@ pub(super) fn find_for(home: &Path, images: &[String], folders: &Folders, warnin
 impl Truth {
     /// The map of changes beside the surface model, `change.tif`, if there is one.
     pub fn changes(&self) -> Option<PathBuf> {
-        self.beside("change.tif")
+        self.sibling("change.tif")
     }
 
     /// The surface model at the time of the first image beside the one at the last, `dsm_before.tif`, if there is one.
     pub fn before(&self) -> Option<PathBuf> {
-        self.beside("dsm_before.tif")
+        self.sibling("dsm_before.tif")
     }
 
-    fn beside(&self, name: &str) -> Option<PathBuf> {
+    fn sibling(&self, name: &str) -> Option<PathBuf> {
         let path = self.dsm.as_ref()?.with_file_name(name);
         path.is_file().then_some(path)
     }

@@ -58,7 +58,7 @@ pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, Evalua
 /// A map of changes with a second band of days since 1970, where it or the file of dates beside it has them.
 fn read(path: &Path) -> Result<GeoRaster, EvaluateError> {
     let mut map = GeoRaster::read_heights(path)?;
-    let beside = dsm_bands::beside(path, "date");
+    let beside = dsm_bands::companion(path, "date");
     let dates = match map.raster.bands > 1 {
         true => RasterFile::open(path)?.read_doubles(1)?,
         false if beside.is_file() => RasterFile::open(&beside)?.read_doubles(0)?,
@@ -193,7 +193,7 @@ mod tests {
                 georeference,
                 ..ImageSpec::plain(&raster)
             };
-            write_integer_cog(&dsm_bands::beside(&path, "date"), &dates, |_| date).expect("a file");
+            write_integer_cog(&dsm_bands::companion(&path, "date"), &dates, |_| date).expect("a file");
             raster.values = house(5.0, 2..14, 2..10);
             let difference = ImageSpec {
                 georeference,

@@ -3,7 +3,7 @@
 use crate::DsmEvaluation;
 use heliosplat::Raster;
 use heliosplat_raster::RasterError;
-use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
+use heliosplat_raster::write::{ImageSpec, SampleType, write_geotiff};
 use image::{Rgb, RgbImage};
 use std::path::Path;
 
@@ -27,7 +27,7 @@ pub fn write(path: &Path, evaluation: &DsmEvaluation) -> Result<(), RasterError>
         georeference: truth.crs.as_ref().map(|crs| (&truth.transform, crs)),
         ..ImageSpec::plain(&evaluation.errors)
     };
-    write_geotiff(path, &spec, Sample::F32)
+    write_geotiff(path, &spec, SampleType::F32)
 }
 
 /// Draws errors (prediction minus truth, metres; first band) with a legend line below.

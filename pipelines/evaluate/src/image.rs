@@ -13,7 +13,7 @@ use rayon::prelude::*;
 pub struct ImageScore {
     /// Peak signal-to-noise ratio, dB, of all bands together, for values with a peak of 1.
     pub psnr: f64,
-    /// The same of red, green and blue alone, as papers give it, where the image has more bands than those.
+    /// PSNR of red, green and blue alone, as in papers; absent if the image has no other bands.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub psnr_rgb: Option<f64>,
     /// Structural similarity, mean over pixels and bands.

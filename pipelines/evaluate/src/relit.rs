@@ -65,7 +65,7 @@ pub fn score_relit(pairs: &[RelitPair]) -> Option<RelitScores> {
     let bands = pairs.first()?.truth.bands;
     let peak = pairs.iter().filter_map(|pair| peak_of(pair.truth)).reduce(f64::max)?;
     let gains: Vec<[f64; 2]> = (0..bands)
-        .map(|band| Line::through(pairs.iter().map(|pair| (pair, band))))
+        .map(|band| LineFit::through(pairs.iter().map(|pair| (pair, band))))
         .collect::<Option<_>>()?;
     let scores = pairs.iter().map(|pair| score_one(pair, &gains, peak));
     let suns: Vec<RelitScore> = scores.collect::<Option<_>>()?;
@@ -84,7 +84,7 @@ fn peak_of(truth: &Raster) -> Option<f64> {
 
 fn score_one(pair: &RelitPair, gains: &[[f64; 2]], peak: f64) -> Option<RelitScore> {
     let own: Vec<[f64; 2]> = (0..gains.len())
-        .map(|band| Line::through(std::iter::once((pair, band))))
+        .map(|band| LineFit::through(std::iter::once((pair, band))))
         .collect::<Option<_>>()?;
     let (one, own) = (Difference::of(pair, gains)?, Difference::of(pair, &own)?);
     let lit = Raster {
@@ -110,9 +110,9 @@ fn known<'a>(pair: &'a RelitPair, band: usize) -> impl Iterator<Item = (f64, f64
 }
 
 /// A straight line by least squares.
-struct Line;
+struct LineFit;
 
-impl Line {
+impl LineFit {
     /// Gain and offset through one band of some pairs. Where the prediction is constant, the gain is zero and the
     /// offset the truth's mean.
     fn through<'a>(bands: impl Iterator<Item = (&'a RelitPair<'a>, usize)> + Clone) -> Option<[f64; 2]> {

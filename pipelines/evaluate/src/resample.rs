@@ -1,4 +1,4 @@
-//! Bringing a raster onto another's grid.
+//! Resampling of a raster onto the grid of another.
 
 use heliosplat::Raster;
 use heliosplat_grid::bilinear_to_the_edge;
@@ -56,7 +56,7 @@ impl<'a> Placement<'a> {
         self.moved_band(0, columns, rows)
     }
 
-    /// As [`Self::moved`], another band.
+    /// Another band, moved as by [`Self::moved`].
     pub fn moved_band(&self, band: usize, columns: f64, rows: f64) -> Raster {
         let [per_col, per_row] = self.per_cell;
         let offset = [0, 1].map(|axis| columns * per_col[axis] + rows * per_row[axis]);

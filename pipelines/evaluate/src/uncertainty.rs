@@ -17,7 +17,7 @@ pub struct Uncertainty {
     pub spearman: f64,
     /// Share of cells whose error is within one standard deviation, 0..1: 0.68 for normal errors with these deviations.
     pub within_one: f64,
-    /// The same within two: 0.95.
+    /// Share of errors within two standard deviations; 0.95 for normal errors.
     pub within_two: f64,
     /// Ten groups of equally many cells, from the most certain to the least.
     pub groups: Vec<Group>,

@@ -73,12 +73,12 @@ impl Builder {
         self.accessor(json!({"componentType": FLOAT, "count": count, "type": kind}))
     }
 
-    /// The same for places between two corners.
+    /// Accessor of `count` positions between two corners, filled later.
     pub fn placeholder_places(&mut self, count: usize, low: [f32; 3], high: [f32; 3]) -> usize {
         self.accessor(json!({"componentType": FLOAT, "count": count, "type": "VEC3", "min": low, "max": high}))
     }
 
-    /// The same for colours of four bytes.
+    /// Accessor of `count` colours of four bytes, filled later.
     pub fn placeholder_colours(&mut self, count: usize) -> usize {
         self.accessor(json!({"componentType": UNSIGNED_BYTE, "normalized": true, "count": count, "type": "VEC4"}))
     }

@@ -1,4 +1,4 @@
-//! Splats as viewers of splats read them, and as plain glTF (`KHR_gaussian_splatting`, Khronos, ratified).
+//! Splats in glTF (`KHR_gaussian_splatting`, Khronos, ratified).
 //!
 //! Colours are display values (sRGB): viewers blend them without lighting. A splat has the same colour from all
 //! directions.
@@ -35,7 +35,7 @@ pub struct Splat {
 }
 
 impl Splat {
-    /// The same in the frame of glTF, whose second axis is up.
+    /// The splat in the frame of glTF, whose second axis is up.
     #[must_use]
     pub fn in_gltf(self) -> Self {
         let Vec3 { x, y, z } = self.position;

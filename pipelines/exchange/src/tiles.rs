@@ -25,7 +25,7 @@ const REACH: f32 = 3.0;
 /// Metres of geometric error for each metre of a cell of a mesh. Viewers replace a tile whose error is 16 pixels wide
 /// on the screen, so that a cell is at most two pixels wide.
 pub const ERROR_OF_CELL: f64 = 8.0;
-/// The same of splats: a cell is then 1.6 to 3.2 pixels wide. Merged splats have standard deviations of a third of a
+/// Cells per side of a tile of splats: a cell is then 1.6 to 3.2 pixels wide. Merged splats have standard deviations of a third of a
 /// cell at least, and CesiumJS omits splats whose standard deviations are both below 0.35 pixels, so that all are
 /// drawn.
 const ERROR_OF_SPLATS: f64 = 5.0;
@@ -112,7 +112,7 @@ pub type WriteFile<'w, E> = dyn FnMut(&str, Vec<u8>) -> Result<(), E> + 'w;
 /// Cuts splats into tiles, coarse ones above fine ones, and hands over each file with its name.
 ///
 /// # Errors
-/// Those of `write`, and [`TooLarge`].
+/// Errors of `write`, and [`TooLarge`].
 pub fn of_splats<E: From<TooLarge>>(splats: Vec<Splat>, write: &mut WriteFile<E>) -> Result<Tile, E> {
     let (low, high) = extent(&splats);
     let ground = (high - low).truncate().element_product().max(f32::MIN_POSITIVE);

@@ -1,4 +1,4 @@
-//! Keeping a training within its time limit.
+//! The time budget of a training.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! The right to write into a folder: one process has it at a time.
+//! Lock of a folder: one process writes into it at a time.
 
 use crate::run_folder::RunError;
 use heliosplat_raster::RasterError;

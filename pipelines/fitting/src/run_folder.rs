@@ -280,7 +280,7 @@ pub fn create_folder(path: &Path) -> Result<(), RunError> {
 pub struct RunRequest<'a> {
     /// The user's request.
     pub request: &'a TrainRequest,
-    /// Everything that determines the training, line by line: equal lines mean the same training.
+    /// Identity of the training, line by line: equal lines mean the same training.
     pub identity: &'a str,
     /// Cost of the work after training, in steps.
     pub steps_after: f64,
@@ -313,7 +313,7 @@ pub struct Closing<'a> {
 pub enum FolderState<'a, P> {
     /// This very training, finished: its metrics.
     Finished(Value),
-    /// Nothing, or a checkpoint.
+    /// An empty folder, or one with a checkpoint.
     Ready(Box<RunFolder<'a, P>>),
 }
 

@@ -45,7 +45,7 @@ pub enum Preset {
     Balanced,
     /// Smaller errors for two and a half times the time.
     Accurate,
-    /// As good as it gets.
+    /// Smallest errors, twice the time of accurate.
     Best,
 }
 

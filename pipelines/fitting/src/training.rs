@@ -47,7 +47,7 @@ const PROBES: usize = 12;
 /// End of a fit with a model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Ending {
-    /// As it should.
+    /// Converged, or out of steps or time.
     Done,
     /// The user stopped it; its state is kept in a checkpoint.
     Interrupted,
@@ -132,7 +132,7 @@ pub fn train<P: Clone + Serialize>(
         log.smoothed = Some(l1);
         progress.set(report.step as u64);
         if report.step % CURVE_EVERY == 0 {
-            progress.say(&format!("L1 {l1:.4}, {} Gaussians", grouped(report.gaussians)));
+            progress.message(&format!("L1 {l1:.4}, {} Gaussians", grouped(report.gaussians)));
             let probe = probe.filter(|_| report.step % probe_every == 0);
             log.curve.push(CurvePoint {
                 held_out_l1: trainer.held_out_l1(),

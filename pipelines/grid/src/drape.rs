@@ -50,7 +50,7 @@ pub fn ground((width, height): (usize, usize), cell_m: f32, altitude_m: &[f32]) 
     let Some((level, cloth)) = cloth else {
         return Vec::new();
     };
-    level.settled(&cloth)
+    level.ground_below(&cloth)
 }
 
 /// A grid of the pyramid.
@@ -169,7 +169,7 @@ impl Level {
     }
 
     /// The ground by the cloth: the surface itself where it lies on the cloth, and elsewhere a smooth span between such places.
-    fn settled(&self, cloth: &[f32]) -> Vec<f32> {
+    fn ground_below(&self, cloth: &[f32]) -> Vec<f32> {
         let is_ground = |(surface, cloth): (&f32, &f32)| (surface - cloth <= GROUND_M).then_some(*surface);
         let ground = self.surface.iter().zip(cloth);
         let ground: Vec<f32> = ground.map(|both| is_ground(both).unwrap_or(f32::NAN)).collect();

@@ -1,4 +1,4 @@
-//! The top between the places where it was sampled.
+//! Peak of a sampled function between its samples.
 
 use crate::statistics::Real;
 

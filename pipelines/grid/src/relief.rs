@@ -60,7 +60,7 @@ impl Toward {
         }
     }
 
-    /// The same for a rough surface: heights less than `rise_m` above a cell do not shade it.
+    /// The relief of a rough surface: heights less than `rise_m` above a cell do not shade it.
     pub fn above(self, rise_m: f32) -> Self {
         Self {
             least_rise_m: rise_m,
@@ -68,7 +68,7 @@ impl Toward {
         }
     }
 
-    /// The same for a surface with walls, each of which is `steps` (less than one) nearer than the first row or column
+    /// The relief of a surface with walls, each of which is `steps` (less than one) nearer than the first row or column
     /// at its height.
     pub fn nearer(self, steps: f32) -> Self {
         Self { nearer: steps, ..self }

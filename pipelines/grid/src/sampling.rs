@@ -22,7 +22,7 @@ pub fn bilinear(values: &[f32], (width, height): (usize, usize), col: impl Into<
     top + (bottom - top) * fr
 }
 
-/// The same up to the grid's outer edge, half a cell beyond the outermost centres, with the value of the edge there.
+/// Bilinear value up to the grid's outer edge, half a cell beyond the outermost centres, with the value of the edge there.
 /// Missing neighbours with a weight within rounding are ignored, so that grids that agree up to rounding lose no cells.
 pub fn bilinear_to_the_edge(values: &[f32], (width, height): (usize, usize), col: f64, row: f64) -> f32 {
     let (last_col, last_row) = (width as f64 - 1.0, height as f64 - 1.0);

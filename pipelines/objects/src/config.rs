@@ -116,7 +116,7 @@ impl ModelOptions {
     }
 }
 
-/// Everything that decides a run besides its capture.
+/// Configuration of a run on a capture.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObjectConfig {

@@ -47,7 +47,7 @@ impl Kind {
         }
     }
 
-    /// The same, rendering only one component of the light; `None` where a model has no components.
+    /// The model with one component of its light alone; `None` if it has no components.
     pub fn showing(&self, shows: Component) -> Option<Self> {
         match self {
             Self::Radiance(_) => None,
@@ -64,7 +64,7 @@ impl Kind {
         }
     }
 
-    /// The same under lamps; `None` where a model cannot be relit.
+    /// The model under lamps; `None` if it cannot be relit.
     pub fn lit(&self) -> Option<Self> {
         match self {
             Self::Radiance(_) => None,
@@ -209,7 +209,7 @@ impl ObjectModel {
         Some(out)
     }
 
-    /// The same by another model of the same parameters.
+    /// The image by another model of the same parameters.
     pub fn render_as(&self, model: &dyn SceneModel, image: &ObjectImage) -> Option<Raster> {
         let (_, maps, mut seen) = self.look(model, &image.camera, self.light(image))?;
         let behind = self.file.preparation.background;

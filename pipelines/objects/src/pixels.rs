@@ -12,7 +12,7 @@ const LONGEST_SIDE: u32 = 16_384;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Encoding {
-    /// As a display takes them (sRGB).
+    /// Display values (sRGB).
     Display,
     /// In proportion to light.
     Linear,

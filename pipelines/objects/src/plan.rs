@@ -14,7 +14,7 @@ use heliosplat_session::Session;
 
 /// Least gain of a part on held-out images, decibels, in addition to its significance (docs/lab/objects.md).
 const LEAST_GAIN_DB: f64 = 0.05;
-/// The same where it needs a model of another kind, which takes four times as long: a model of material gains a little
+/// Least gain of gloss if it needs a model of another kind, which takes four times as long: a model of material gains a little
 /// even on objects without gloss.
 const LEAST_GAIN_OF_KIND_DB: f64 = 0.5;
 
@@ -25,7 +25,7 @@ pub struct Trial {
     pub part: String,
     /// PSNR on the images kept aside without it, decibels.
     pub without_db: f64,
-    /// The same with it.
+    /// PSNR with the component, dB.
     pub with_db: f64,
     /// Gain by pieces; `None` of too few pieces.
     pub gain: Option<Gain>,

@@ -23,7 +23,7 @@ const OPACITY: f32 = 0.5;
 /// Weight of the agreement of normals with those of the depth under one lamp at a time; a high one keeps highlights in
 /// one piece (docs/lab/objects.md).
 const OLAT_NORMALS: f32 = 0.3;
-/// The same in surroundings that stay.
+/// Weight of normals in constant surroundings.
 const REFLECTIVE_NORMALS: f32 = 0.05;
 /// Normals of depths are compared over steps of this many pixels at most.
 const EDGE_PX: f64 = 6.0;

@@ -138,7 +138,7 @@ pub fn train(
     })))
 }
 
-/// All that decides a training, line by line.
+/// Identity of a training, line by line: code, inputs and settings.
 fn identity(
     request: &TrainRequest,
     config: &ObjectConfig,

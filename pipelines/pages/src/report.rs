@@ -10,7 +10,7 @@ mod relit;
 
 use crate::page::{calibration, document, picture_of};
 use crate::view::{self, ViewError};
-use heliosplat::timeline::{self, beside, stage};
+use heliosplat::timeline::{self, concurrently, stage};
 use heliosplat_evaluate::uncertainty::Uncertainty;
 use heliosplat_fitting::run_folder::{RunError, save_metrics};
 use heliosplat_objects::model::is_object_run;
@@ -117,7 +117,7 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
 pub fn write_both(folder: &Path) -> Result<(), ViewError> {
     let contents = Contents::read(folder)?;
     // Only the head of the page asks whether the other one is there.
-    let (sections, shown) = beside(
+    let (sections, shown) = concurrently(
         || sections(&contents),
         || view::into_folder(folder, view::of_run(folder)),
     );

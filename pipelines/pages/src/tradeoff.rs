@@ -31,7 +31,7 @@ pub struct Row {
     pub shadows_right: Option<f64>,
     /// Peak signal-to-noise ratio of images trained on, dB.
     pub psnr_train: Option<f64>,
-    /// Of images held out, dB.
+    /// PSNR of held-out images, dB.
     pub psnr_held_out: Option<f64>,
 }
 

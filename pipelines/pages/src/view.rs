@@ -17,7 +17,7 @@ mod ortho_image;
 mod pack;
 mod place;
 
-pub use exhibit::{Exhibit, Light, TracedDate};
+pub use exhibit::{Exhibit, LightTable, TracedDate};
 pub use layer::{Layer, Ramp};
 pub use of_files::of_files;
 pub use of_mosaic::of_mosaic;

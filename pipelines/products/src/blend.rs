@@ -1,4 +1,4 @@
-//! One surface model of those of tiles, blended where they overlap.
+//! Surface models of tiles, blended into one where they overlap.
 //!
 //! In the overlap every tile counts by how sure it is, `1 / (σ² + σ₀²)`, times a taper that falls from its core to its edge, so that none
 //! begins or ends with a step. A cell of unknown σ counts as if it were off by two cells. Altitudes further apart than two cells are not one surface seen twice but two surfaces (a roof and the
@@ -24,7 +24,7 @@ pub struct Piece {
     pub at: [isize; 2],
     /// First and one past last column and row of the mosaic of its core.
     pub core: [[isize; 2]; 2],
-    /// The same of all of it.
+    /// Bounds of the whole piece.
     pub bounds: [[isize; 2]; 2],
 }
 
@@ -34,7 +34,7 @@ impl Piece {
         self.value_of(&self.raster, band, col, row)
     }
 
-    /// The same of another raster on its grid.
+    /// Value of another raster on the grid of the piece.
     pub fn value_of(&self, raster: &Raster, band: usize, col: isize, row: isize) -> f32 {
         let [columns, rows] = self.bounds;
         let inside = col >= columns[0] && col < columns[1] && row >= rows[0] && row < rows[1];
@@ -94,7 +94,7 @@ pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> R
 
 /// Values of a cell in one tile, with their weight.
 #[derive(Debug, Clone, Copy)]
-pub struct Said {
+pub struct CellValue {
     /// The tile.
     pub piece: usize,
     /// Altitude, standard deviation, coverage, views.
@@ -103,7 +103,7 @@ pub struct Said {
     pub weight: f32,
 }
 
-fn say(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<Said> {
+fn cell_value(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<CellValue> {
     let [altitude, sigma, coverage, views] = [0, 1, 2, 3].map(|band| piece.value(band, col, row));
     // Of one surface it is, but no surer than that.
     let taken = if sigma.is_finite() {
@@ -114,7 +114,7 @@ fn say(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Optio
     let least = LEAST_SIGMA_CELLS * gsd_m;
     let weight = piece.taper(col, row) / (taken * taken + least * least);
     let known = altitude.is_finite() && weight > 0.0;
-    known.then_some(Said {
+    known.then_some(CellValue {
         piece: index,
         values: [altitude, sigma, coverage, views],
         weight,
@@ -128,9 +128,14 @@ pub fn in_row(pieces: &[Piece], row: isize) -> Vec<usize> {
 }
 
 /// Fills `said` with what tiles say of the surface at a cell, and with nothing of another surface; the one that counts most first.
-pub fn one_surface(said: &mut Vec<Said>, (pieces, here): (&[Piece], &[usize]), (col, row): (isize, isize), gsd_m: f32) {
+pub fn one_surface(
+    said: &mut Vec<CellValue>,
+    (pieces, here): (&[Piece], &[usize]),
+    (col, row): (isize, isize),
+    gsd_m: f32,
+) {
     said.clear();
-    said.extend(here.iter().filter_map(|&i| say(i, &pieces[i], col, row, gsd_m)));
+    said.extend(here.iter().filter_map(|&i| cell_value(i, &pieces[i], col, row, gsd_m)));
     // The first of equals, whatever the order of sums.
     let strongest = (0..said.len()).reduce(|best, next| {
         if said[next].weight > said[best].weight {
@@ -146,7 +151,7 @@ pub fn one_surface(said: &mut Vec<Said>, (pieces, here): (&[Piece], &[usize]), (
 }
 
 /// The bands of one surface.
-fn together(said: &[Said]) -> [f32; BANDS] {
+fn together(said: &[CellValue]) -> [f32; BANDS] {
     let Some(strongest) = said.first() else {
         return [f32::NAN; BANDS];
     };

@@ -86,7 +86,7 @@ impl ChangeMap {
                 .map(|col| {
                     heights.clear();
                     heights.extend(surfaces.iter().map(|surface| surface[row * width + col]));
-                    told(&moments, &heights, &|day| confidence(&near, day, &places[col]))
+                    cell_change(&moments, &heights, &|day| confidence(&near, day, &places[col]))
                 })
                 .collect::<Vec<[f32; 3]>>()
         };
@@ -131,7 +131,7 @@ impl ChangeMap {
     pub fn file_of(path: &Path, band: usize) -> PathBuf {
         match band {
             0 => path.to_owned(),
-            _ => dsm_bands::beside(path, SUFFIXES[band - 1]),
+            _ => dsm_bands::companion(path, SUFFIXES[band - 1]),
         }
     }
 
@@ -224,7 +224,7 @@ fn grown(segment: &Segment) -> [f64; 4] {
 }
 
 /// Difference, day and confidence of a cell whose altitudes on some days are `heights`; `of_day` is the confidence of a change there that day.
-fn told(moments: &[i32], heights: &[f32], of_day: &dyn Fn(i32) -> Option<f32>) -> [f32; 3] {
+fn cell_change(moments: &[i32], heights: &[f32], of_day: &dyn Fn(i32) -> Option<f32>) -> [f32; 3] {
     let (Some(first), Some(last)) = (heights.first(), heights.last()) else {
         return [f32::NAN; 3];
     };
@@ -302,15 +302,18 @@ mod tests {
     #[test]
     fn a_cell_changed_on_the_day_on_which_its_surface_did() {
         let all = |_: i32| Some(0.9);
-        assert_eq!(told(&[9, 10, 20], &[5.0, 5.2, 11.0], &all), [6.0, 20.0, 0.9]);
-        assert_eq!(told(&[9, 10, 20], &[5.0, 11.0, 11.1], &all), [6.1000004, 10.0, 0.9]);
-        assert_eq!(told(&[9, 10, 20], &[5.0, 5.2, 5.1], &all), [0.0; 3]);
+        assert_eq!(cell_change(&[9, 10, 20], &[5.0, 5.2, 11.0], &all), [6.0, 20.0, 0.9]);
+        assert_eq!(
+            cell_change(&[9, 10, 20], &[5.0, 11.0, 11.1], &all),
+            [6.1000004, 10.0, 0.9]
+        );
+        assert_eq!(cell_change(&[9, 10, 20], &[5.0, 5.2, 5.1], &all), [0.0; 3]);
         let other = |day: i32| (day == 10).then_some(0.9);
         assert_eq!(
-            told(&[9, 10, 20], &[5.0, 5.0, 11.0], &other),
+            cell_change(&[9, 10, 20], &[5.0, 5.0, 11.0], &other),
             [0.0; 3],
             "no segment there"
         );
-        assert!(told(&[9, 10], &[5.0, f32::NAN], &all)[0].is_nan());
+        assert!(cell_change(&[9, 10], &[5.0, f32::NAN], &all)[0].is_nan());
     }
 }

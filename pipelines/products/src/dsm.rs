@@ -5,7 +5,7 @@ use super::style::Style;
 use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
 use super::{fill, seen};
 use crate::model::LoadedModel;
-use crate::nadir::{NadirGrid, Place};
+use crate::nadir::{GroundExtent, NadirGrid};
 use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
 use heliosplat::{ProjectiveCamera, Raster};
@@ -116,7 +116,7 @@ pub fn of_model(nadir: &NadirGrid, model: &LoadedModel) -> Result<Dsm, RasterErr
     Ok(dsm)
 }
 
-/// The same without the sweep, for those who ask for altitudes alone.
+/// Surface model without the uncertainty of the sweep.
 pub(crate) fn seen_of(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
     let mut dsm = of_gaussians(nadir, &model.into());
     let seen_by = seen::views(nadir, dsm.raster.plane(ALTITUDE), &model.file);
@@ -244,12 +244,12 @@ fn variance_around(raster: &Raster, cell: usize) -> f32 {
 ///
 /// # Errors
 /// When the coordinate system does not cover the place.
-pub fn of_surface(place: &Place, surface: &Surface, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
+pub fn of_surface(place: &GroundExtent, surface: &Surface, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     Ok(of_surface_on(NadirGrid::new(place, gsd_m, crs)?, place, surface))
 }
 
-/// The same on a grid that there is already.
-pub fn of_surface_on(nadir: NadirGrid, place: &Place, surface: &Surface) -> Dsm {
+/// Surface model of a swept surface on a given grid.
+pub fn of_surface_on(nadir: NadirGrid, place: &GroundExtent, surface: &Surface) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
     let found = |i: usize| -> Option<(f64, usize)> {
@@ -290,7 +290,7 @@ pub fn of_surface_on(nadir: NadirGrid, place: &Place, surface: &Surface) -> Dsm 
 }
 
 impl Dsm {
-    /// The same surface with altitudes above `geoid` instead of the ellipsoid, and a coordinate system that says so.
+    /// The surface with altitudes above `geoid` instead of the ellipsoid, and the coordinate system of these heights.
     ///
     /// # Errors
     /// When the geoid's grid is missing, or the coordinate system takes no heights.
@@ -383,7 +383,7 @@ impl Dsm {
         }
     }
 
-    /// Writes the surface model: the altitude as a cloud-optimised GeoTIFF of one band, and the other bands as files [`dsm_bands::beside`] it,
+    /// Writes the surface model: the altitude as a cloud-optimised GeoTIFF of one band, and the other bands as files [`dsm_bands::companion`] it,
     /// each with its style.
     ///
     /// # Errors
@@ -411,7 +411,7 @@ impl Dsm {
         write_cog(&path, &spec)
     }
 
-    /// The same as a raster on the map, as if it had been read from its file.
+    /// The surface model as a georeferenced raster, as read from its file.
     pub fn geo_raster(&self) -> GeoRaster {
         GeoRaster {
             raster: self.raster.clone(),
@@ -440,7 +440,7 @@ fn metadata(vertical_datum: &str) -> Vec<(String, String)> {
 pub fn file_of(path: &Path, band: usize) -> PathBuf {
     match band {
         ALTITUDE => path.to_owned(),
-        _ => dsm_bands::beside(path, dsm_bands::COMPANIONS[band - 1].1),
+        _ => dsm_bands::companion(path, dsm_bands::COMPANIONS[band - 1].1),
     }
 }
 

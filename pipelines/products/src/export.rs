@@ -28,7 +28,7 @@ use heliosplat_rpc::frame::ecef_from_geo;
 use heliosplat_rpc::sun::SunPosition;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use textured::{Dressed, Ground};
+use textured::{Dressed, TexturedGround};
 
 /// Name of the file that a folder of tiles begins with.
 pub const TILESET: &str = "tileset.json";
@@ -92,7 +92,7 @@ pub enum ExportError {
     /// A file would be too large.
     #[error(transparent)]
     TooLarge(#[from] TooLarge),
-    /// Nothing is known.
+    /// The surface has no known cell.
     #[error("{}: the run knows no surface; train it again with more images of the place", .0.display())]
     NoSurface(PathBuf),
 }
@@ -172,7 +172,7 @@ impl Subject<'_> {
         }
     }
 
-    fn ground(&self) -> Result<Ground, ExportError> {
+    fn ground(&self) -> Result<TexturedGround, ExportError> {
         match self {
             Self::Run(model) => ground(model),
             Self::Mosaic(mosaic) => mosaic.ground(),
@@ -196,7 +196,7 @@ pub fn write(subject: Subject, request: &Request) -> Result<Export, ExportError>
         if lit.splats.is_empty() {
             return Err(ExportError::NoSurface(subject.folder().to_owned()));
         }
-        let of_splats = with(&said, &lit.said());
+        let of_splats = with(&said, &lit.metadata());
         if let Some(path) = &request.ply {
             written.push(write_ply(path, &lit, &of_splats)?);
         }
@@ -217,7 +217,7 @@ pub fn write(subject: Subject, request: &Request) -> Result<Export, ExportError>
     }
     if request.mesh.is_some() || tiles_of_mesh.is_some() {
         let ground = subject.ground()?;
-        let of_mesh = with(&said, &ground.said());
+        let of_mesh = with(&said, &ground.metadata());
         if let Some(path) = &request.mesh {
             let Dressed { glb, triangles, .. } = ground
                 .whole(of_mesh.clone())?
@@ -238,12 +238,12 @@ pub fn write(subject: Subject, request: &Request) -> Result<Export, ExportError>
 }
 
 /// The surface of a run and its albedo.
-fn ground(model: &LoadedModel) -> Result<Ground, ExportError> {
+fn ground(model: &LoadedModel) -> Result<TexturedGround, ExportError> {
     let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
     let mut albedo = ortho::albedo(model, &dsm::maps(model, &nadir));
     let surface = dsm::of_model(&nadir, model)?;
     surface.blank_unknown(&mut albedo);
-    Ok(Ground::new(&surface, &albedo, &model.file.bands, &nadir.enu))
+    Ok(TexturedGround::new(&surface, &albedo, &model.file.bands, &nadir.enu))
 }
 
 /// The members of two objects.

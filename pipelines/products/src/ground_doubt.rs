@@ -6,7 +6,7 @@
 //! Ablation in docs/lab/surface.md.
 
 use crate::model::START;
-use crate::nadir::{NadirGrid, Place};
+use crate::nadir::{GroundExtent, NadirGrid};
 use glam::Vec3;
 use heliosplat_radiometry::ground::{ground_below, ground_probability};
 use heliosplat_raster::grid::GridSpec;
@@ -28,11 +28,11 @@ pub(crate) struct StartProbability {
 }
 
 impl StartProbability {
-    /// That of the run in `folder`; `None`, with a warning, where the run has none.
+    /// Uncertainty of the run in `folder`; `None`, with a warning, if the run has none.
     ///
     /// # Errors
     /// When the file is damaged.
-    pub(crate) fn of_run(folder: &Path, place: &Place) -> Result<Option<Self>, RasterError> {
+    pub(crate) fn of_run(folder: &Path, place: &GroundExtent) -> Result<Option<Self>, RasterError> {
         let path = folder.join(START);
         let start = match path.is_file() {
             true => Some(GeoRaster::read_surface(&path)?),
@@ -109,7 +109,7 @@ mod tests {
             .map(|cell| if inside(cell, 60) { 20.0 } else { 10.0 })
             .collect();
         let (nadir, frame) = NadirGrid::of_surface(grid(1.0), &altitude).expect("a grid");
-        let place = Place {
+        let place = GroundExtent {
             frame,
             area: heliosplat_scene::Area {
                 west_m: -30.0,

@@ -172,7 +172,7 @@ impl LoadedModel {
         self.copy().last()
     }
 
-    /// The same of a model that is not needed as a whole.
+    /// The model on the day of the last image.
     pub fn last(self) -> Self {
         let last = self.model.options.days.iter().copied().fold(f32::MIN, f32::max);
         self.into_day(last)

@@ -1,4 +1,4 @@
-//! Reading `model.json`: nothing in it is believed that could lead past the end of a list or ask for more memory than there is.
+//! Reading `model.json` as untrusted input: no index beyond a list, no size beyond the file.
 
 use crate::model::{ModelFile, ModelImage, SCHEMA};
 use heliosplat::gaussians::Table;

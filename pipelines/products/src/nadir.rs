@@ -19,7 +19,7 @@ pub struct NadirGrid {
 
 /// A piece of ground, and how high it reaches.
 #[derive(Debug, Clone, Copy)]
-pub struct Place {
+pub struct GroundExtent {
     /// The local frame.
     pub frame: LocalFrame,
     /// The ground, metres of the frame.
@@ -28,7 +28,7 @@ pub struct Place {
     pub altitude_range_m: (f64, f64),
 }
 
-impl From<&LoadedModel> for Place {
+impl From<&LoadedModel> for GroundExtent {
     fn from(model: &LoadedModel) -> Self {
         Self {
             frame: model.frame,
@@ -38,7 +38,7 @@ impl From<&LoadedModel> for Place {
     }
 }
 
-impl From<&Scene> for Place {
+impl From<&Scene> for GroundExtent {
     fn from(scene: &Scene) -> Self {
         Self {
             frame: scene.frame,
@@ -53,8 +53,8 @@ impl NadirGrid {
     ///
     /// # Errors
     /// When the coordinate system does not cover the place.
-    pub fn new(place: &Place, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
-        let Place { frame, area, .. } = place;
+    pub fn new(place: &GroundExtent, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
+        let GroundExtent { frame, area, .. } = place;
         let crs = match crs {
             Some(definition) => Crs::horizontal(definition)?,
             None => Crs::utm(frame.origin)?,
@@ -64,11 +64,11 @@ impl NadirGrid {
         Self::on(place, grid)
     }
 
-    /// The same on a grid that there is already.
+    /// The grid and its camera, on a given grid.
     ///
     /// # Errors
     /// When the grid lies outside its coordinate system.
-    pub fn on(place: &Place, grid: GridSpec) -> Result<Self, RasterError> {
+    pub fn on(place: &GroundExtent, grid: GridSpec) -> Result<Self, RasterError> {
         let enu = EnuGrid::new(&place.frame, &grid, place.altitude_range_m)?;
         let camera = nadir_camera(&enu, &grid, place.frame.origin.height_m);
         Ok(Self { grid, camera, enu })
@@ -95,7 +95,7 @@ impl NadirGrid {
             height_m: low,
         });
         let cell_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
-        let place = Place {
+        let place = GroundExtent {
             frame,
             area: Area {
                 west_m: -sides[0] * cell_m,
@@ -162,9 +162,9 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
 /// Vectors from a cell to the next column and row, metres east and north.
 #[derive(Debug, Clone, Copy)]
 pub struct CellVectors {
-    /// Of one column.
+    /// Step of one column.
     pub per_col: [f64; 2],
-    /// Of one row.
+    /// Step of one row.
     pub per_row: [f64; 2],
 }
 

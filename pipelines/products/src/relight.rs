@@ -13,7 +13,7 @@ use heliosplat::splat::Maps;
 use heliosplat::timeline;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_fitting::run_folder::RunError;
-use heliosplat_raster::write::{ImageSpec, Sample, write_cog, write_geotiff};
+use heliosplat_raster::write::{ImageSpec, SampleType, write_cog, write_geotiff};
 use heliosplat_raster::{GridSpec, RasterError, preview};
 use heliosplat_rpc::sun::SunPosition;
 use std::path::{Path, PathBuf};
@@ -85,7 +85,7 @@ const HIGH_AND_LOW_DEG: [f64; 2] = [20.0, 4.0];
 /// Share of the sun below which a place is in shadow: as traced through the Gaussians, and in the mean of both, which misses shadow
 /// more often than it invents some.
 const SHADED_BELOW: f32 = 0.5;
-/// The same of the mean.
+/// Share of the sun below which a cell is shaded, for the mean of both masks.
 const SHADED_BELOW_IN_THE_MEAN: f32 = 0.6;
 
 /// A relit view.
@@ -94,7 +94,7 @@ pub struct Relit {
     pub image: Raster,
     /// Share of the sun that reaches each pixel, 0 to 1.
     pub visibility: Raster,
-    /// Of which exposure the counts are, in words; files carry it as the item `EXPOSURE`.
+    /// Exposure of the counts, in words; the metadata item `EXPOSURE` of files.
     pub exposure: String,
     shaded_below: f32,
     grid: Option<GridSpec>,
@@ -207,7 +207,7 @@ impl<'a> Viewpoint<'a> {
             let (parameters, camera) = (&model.parameters, &self.camera);
             render(&model.model, parameters, camera, Some(light), None, options)
         };
-        let (lit, Rendering { mut maps, .. }) = timeline::beside(lit, through);
+        let (lit, Rendering { mut maps, .. }) = timeline::concurrently(lit, through);
         if let Some(lit) = lit {
             let Maps { channels, alpha, .. } = &mut maps;
             let weight = over_surface(sun.elevation_rad.to_degrees());
@@ -317,7 +317,7 @@ fn path_radiance(model: &LoadedModel) -> Vec<f32> {
     model.model.colour(&model.parameters, model.file.options.reference).1
 }
 
-/// Of which exposure relit counts are, in words.
+/// Exposure of relit counts, in words.
 fn exposure(model: &LoadedModel) -> String {
     let reference = model.file.options.reference;
     let image = model
@@ -380,7 +380,7 @@ impl Relit {
         };
         match georeference {
             Some(_) => write_cog(path, &spec)?,
-            None => write_geotiff(path, &spec, Sample::F32)?,
+            None => write_geotiff(path, &spec, SampleType::F32)?,
         }
         write_geotiff(
             &mask_path,
@@ -388,7 +388,7 @@ impl Relit {
                 georeference,
                 ..ImageSpec::plain(&mask)
             },
-            Sample::U8,
+            SampleType::U8,
         )?;
         Ok(mask_path)
     }

@@ -4,7 +4,7 @@ use super::dsm::{maps, of_model};
 use super::nadir::NadirGrid;
 use super::relight::{RelightError, Viewpoint};
 use super::sunshine::{Period, sunshine};
-use super::writer::{Said, Set, Writer};
+use super::writer::{ItemMetadata, Set, Writer};
 use super::{ortho, points};
 use crate::change::ChangeMap;
 use crate::model::{LoadedModel, ModelImage};
@@ -145,7 +145,7 @@ pub fn write(
     }
     let count = points::write(&out.join("points.laz"), model, &nadir.grid.crs, request.geoid)?;
     writer.points("points.laz", count);
-    let set = writer.finish(&Said {
+    let set = writer.finish(&ItemMetadata {
         id,
         times: &times(&model.file.images, &[&model.folder]),
         sun: only_sun(&model.file.images, &dates),

@@ -1,4 +1,4 @@
-//! Shadow masks of images: which shadows there are is traced, where exactly they end an image says better.
+//! Shadow masks of images: shadows are traced, and the image refines their borders.
 //!
 //! A traced border is off by the error in altitude times the length of the shadow, so by a pixel or two; the pixels beside it show
 //! which of them the sun reaches. For each there are two predictions, shaded `d` and lit `l`, and the share of the sun `s` that
@@ -23,9 +23,9 @@ pub struct Evidence<'a> {
     pub traced: &'a Raster,
     /// The image as the model has it.
     pub rendered: &'a Raster,
-    /// The same without sun anywhere.
+    /// Rendering without sun.
     pub shaded: &'a Raster,
-    /// The same without cast shadows.
+    /// Rendering without cast shadows.
     pub lit: &'a Raster,
     /// The image itself, `NaN` where it has no value.
     pub image: &'a Raster,

@@ -31,7 +31,7 @@ pub struct Band<'a> {
 /// Encoding of the values of a raster in a file.
 #[derive(Debug, Clone, Copy)]
 pub enum Numbers {
-    /// As they are; nodata -9999.
+    /// Unconverted values; nodata -9999.
     Float,
     /// Rounded to whole numbers, with this nodata.
     Byte(u8),

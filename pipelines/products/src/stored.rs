@@ -1,4 +1,4 @@
-//! Surface models of tiles on disk: what of them shows some rows is read when these rows are blended.
+//! Surface models of tiles on disk, read row by row while they are blended.
 
 use crate::blend::{Piece, blend};
 use heliosplat::Raster;

@@ -156,7 +156,7 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
 }
 
 /// Median of a depth over the looks that have one.
-fn median_of(looks: &[Look], depth: impl Fn(&Look) -> f32) -> Option<f32> {
+fn median_of(looks: &[RayDepths], depth: impl Fn(&RayDepths) -> f32) -> Option<f32> {
     let mut known: Vec<f32> = looks.iter().map(depth).filter(|z| z.is_finite()).collect();
     upper_median(&mut known)
 }
@@ -179,14 +179,14 @@ fn leaf_depths(input: &SurfaceGaussians, is_leaf: &[bool], nadir: &ProjectiveCam
 }
 
 /// Depths along the rays of one place of each cell, metres; NaN where little is.
-struct Look {
+struct RayDepths {
     near: Vec<f32>,
     median: Vec<f32>,
     far: Vec<f32>,
 }
 
 /// Depths of what faces up in each of the places of the cells.
-fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveCamera) -> Vec<Look> {
+fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveCamera) -> Vec<RayDepths> {
     let facing = facing_up(input.gaussians, is_leaf);
     // The filter of a pixel as wide as a place.
     let projection = ProjectionOptions {
@@ -206,7 +206,7 @@ fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveC
         for plane in [&mut near_depth, &mut median_depth, &mut far_depth] {
             forget_thin(plane, &alpha);
         }
-        Look {
+        RayDepths {
             near: near_depth,
             median: median_depth,
             far: far_depth,

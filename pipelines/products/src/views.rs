@@ -1,4 +1,4 @@
-//! The images of a run as the model sees them, and how well.
+//! Renderings of the images of a run, and their scores.
 
 use super::shadow_mask::Evidence;
 use crate::model::{LoadedModel, ModelImage};
@@ -21,7 +21,7 @@ pub struct RenderedView {
     pub image: Raster,
     /// Share of the sun that reaches each pixel by the trace; NaN where the model shows nothing, and everywhere where the sun is unknown.
     pub traced: Raster,
-    /// The same after the image itself was asked where exactly shadows end ([`Evidence`]); as traced without the image, or
+    /// Visibility after the image refined the borders of shadows ([`Evidence`]); as traced without the image, or
     /// without an image of its day among those of training.
     pub visibility: Raster,
     /// Source of its colours.
@@ -33,11 +33,11 @@ pub struct RenderedView {
 pub enum Colouring {
     /// Trained on the image itself.
     Own,
-    /// Those of an image of the same day.
+    /// Colours of an image of the same day.
     SameDay,
     /// Fitted to the left half of the image: only the right one may be scored.
     LeftHalf,
-    /// Those of the model's reference image.
+    /// Colours of the model's reference image.
     Reference,
 }
 

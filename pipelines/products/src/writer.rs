@@ -30,7 +30,7 @@ const THUMBNAIL_PX: usize = 512;
 
 /// Metadata of an item besides its assets.
 #[derive(Debug, Clone)]
-pub struct Said<'a> {
+pub struct ItemMetadata<'a> {
     /// Its name.
     pub id: &'a str,
     /// When the images were taken; not empty.
@@ -378,7 +378,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When the grid cannot be placed, or the file not be written.
-    pub fn finish(self, said: &Said) -> Result<Set, RasterError> {
+    pub fn finish(self, said: &ItemMetadata) -> Result<Set, RasterError> {
         let about = About {
             id: said.id,
             grid: self.grid,

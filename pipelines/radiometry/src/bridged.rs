@@ -77,7 +77,7 @@ impl std::ops::AddAssign for Lowered {
 /// stay, and the state before a change (`changes`) follows the surface elsewhere. `None` where fewer than two suns are
 /// known, so that no test is possible.
 pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) -> Option<Lowered> {
-    let lights: Vec<Light> = views.par_iter().map(|view| Light::of(view, surface)).collect();
+    let lights: Vec<SunlitView> = views.par_iter().map(|view| SunlitView::of(view, surface)).collect();
     if lights.iter().filter(|light| light.to_sun.is_some()).count() < 2 {
         return None;
     }
@@ -119,7 +119,7 @@ pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) 
 }
 
 /// A view with its sun.
-struct Light<'a> {
+struct SunlitView<'a> {
     view: &'a SweepView<'a>,
     /// `None` where the sun is unknown, or the image shows nothing.
     to_sun: Option<Toward>,
@@ -130,7 +130,7 @@ struct Light<'a> {
     median: f32,
 }
 
-impl<'a> Light<'a> {
+impl<'a> SunlitView<'a> {
     fn of(view: &'a SweepView<'a>, surface: &Surface) -> Self {
         let middle = surface.point(surface.width / 2, surface.height / 2);
         let [azimuth_deg, elevation_deg] = angles_deg(view.geometry().toward(middle));
@@ -205,8 +205,8 @@ fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) ->
 }
 
 /// True if the light of a part (cells in ascending order) is that of ground.
-fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], lights: &[Light]) -> bool {
-    let window = Window::around(grid, part);
+fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], lights: &[SunlitView]) -> bool {
+    let window = Surroundings::around(grid, part);
     let now = window.contrast(grid, part, lights, &|cell| surface.altitude[cell]);
     let then = window.contrast(grid, part, lights, &|cell| match part.binary_search(&cell) {
         Ok(_) => ground_m[cell],
@@ -241,12 +241,12 @@ struct Contrast {
 }
 
 /// The ground around a part, within the reach of shadows and occlusion on the part.
-struct Window {
+struct Surroundings {
     first: [usize; 2],
     size: (usize, usize),
 }
 
-impl Window {
+impl Surroundings {
     fn around(grid: &Grid, part: &[usize]) -> Self {
         let reach = (REACH_M / grid.cell_m).ceil() as usize;
         let span = |at: &dyn Fn(usize) -> usize, count: usize| {
@@ -268,7 +268,7 @@ impl Window {
         &self,
         grid: &Grid,
         part: &[usize],
-        lights: &[Light],
+        lights: &[SunlitView],
         altitude_m: &dyn Fn(usize) -> f32,
     ) -> Option<Contrast> {
         let [col0, row0] = self.first;

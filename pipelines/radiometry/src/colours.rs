@@ -36,7 +36,7 @@ const EDGE_PX: usize = 3;
 
 /// A view's sample of a Gaussian: its pixel, where it is visible, and whether the sun reaches it. At the edge of a
 /// shadow it is neither lit nor shaded.
-struct Sample {
+struct GaussianSample {
     pixel: Option<u32>,
     lit: bool,
     shaded: bool,
@@ -48,7 +48,7 @@ fn samples(
     view: &View,
     maps: &Maps,
     present: Option<&[bool]>,
-) -> Vec<Sample> {
+) -> Vec<GaussianSample> {
     let all: Vec<u32> = (0..gaussians.count as u32).collect();
     let lit: Vec<f32> = match &view.light {
         Some(light @ Light::Directional(_)) => transmittance(occluders, &all, light).values,
@@ -71,7 +71,7 @@ fn samples(
                 let depth = maps.median_depth[p as usize];
                 view.weight[p as usize] > 0.0 && view.camera.depth(position) < depth + VISIBLE_M
             });
-            Sample {
+            GaussianSample {
                 pixel: visible,
                 lit: lit[g as usize] > LIT,
                 shaded: lit[g as usize] < SHADED,
@@ -89,7 +89,7 @@ fn spread(values: &mut [f32]) -> Option<(f32, f32)> {
 }
 
 /// The colour of an image by Gaussians that it and the reference image see lit.
-fn colour(reference: &[Sample], truth: &[f32], own: &[Sample], values: &[f32]) -> Colour {
+fn colour(reference: &[GaussianSample], truth: &[f32], own: &[GaussianSample], values: &[f32]) -> Colour {
     let both: Vec<(f32, f32)> = reference
         .iter()
         .zip(own)
@@ -227,7 +227,7 @@ struct Colour {
 }
 
 /// The colours of each view and band.
-fn colours(model: &ShadowGs, shown: &[Vec<Sample>], views: &[View]) -> Vec<Vec<Colour>> {
+fn colours(model: &ShadowGs, shown: &[Vec<GaussianSample>], views: &[View]) -> Vec<Vec<Colour>> {
     let reference = views
         .iter()
         .position(|v| v.appearance == model.options.reference)
@@ -248,7 +248,7 @@ fn colours(model: &ShadowGs, shown: &[Vec<Sample>], views: &[View]) -> Vec<Vec<C
 /// Samples of the Gaussians in all views.
 struct Shown<'a> {
     views: &'a [View],
-    samples: Vec<Vec<Sample>>,
+    samples: Vec<Vec<GaussianSample>>,
     colours: Vec<Vec<Colour>>,
     /// Medians of two halves of the views that show a Gaussian in the sun, by band and Gaussian.
     lit: Vec<Vec<Option<[f32; 2]>>>,

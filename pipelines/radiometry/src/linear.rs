@@ -144,7 +144,7 @@ fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round:
     });
 }
 
-/// The same parameters with every image in the model's own colours.
+/// The parameters with every image in the model's own colours.
 fn without_colours(model: &ShadowGs, parameters: &Parameters) -> Parameters {
     let mut plain = parameters.clone();
     if model.options.image_colour {

@@ -105,7 +105,7 @@ impl OneLight {
             Some(image),
             PassOptions::default(),
         );
-        let ground = Ground {
+        let ground = GroundMap {
             sunlit: model.sunlit(&rendering.maps),
             depth: rendering.maps.median_depth,
             image: rendering.image,
@@ -194,7 +194,7 @@ fn bound(gaussians: &mut Table, visibility: &[f32], bands: usize) {
 }
 
 /// The ground from straight above.
-struct Ground {
+struct GroundMap {
     image: Raster,
     /// Share of the sun that reaches it; NaN where there is none.
     sunlit: Vec<f32>,
@@ -204,14 +204,14 @@ struct Ground {
 }
 
 /// Values of a shaded place and of the sunlit ground around it, band by band, and their shares of the sun.
-struct Place {
+struct ShadedPlace {
     shaded: Vec<f32>,
     sunlit: Vec<f32>,
     /// Share of the sun at the shaded place, and the mean over the sunlit ground.
     visibility: [f32; 2],
 }
 
-impl Ground {
+impl GroundMap {
     /// True if all pixels within `reach` of a pixel, corners included, satisfy `test`.
     fn all_around(&self, at: usize, reach: usize, test: impl Fn(usize) -> bool) -> bool {
         let (width, height) = (self.image.width, self.image.height);
@@ -235,7 +235,7 @@ impl Ground {
             .collect()
     }
 
-    fn places(&self) -> Vec<Place> {
+    fn places(&self) -> Vec<ShadedPlace> {
         let (width, height, bands) = (self.image.width, self.image.height, self.image.bands);
         let shaded = self.level(|sunlit| sunlit < SHADED);
         let sunlit = self.level(|sunlit| sunlit > SUNLIT);
@@ -256,7 +256,7 @@ impl Ground {
                     }
                 }
             }
-            (count >= FEWEST_SUNLIT).then(|| Place {
+            (count >= FEWEST_SUNLIT).then(|| ShadedPlace {
                 shaded: (0..bands).map(|k| self.image.plane(k)[at]).collect(),
                 sunlit: sum.iter().map(|sum| (sum / f64::from(count as u32)) as f32).collect(),
                 visibility: [self.sunlit[at], (visible / f64::from(count as u32)) as f32],
@@ -270,8 +270,8 @@ impl Ground {
 /// The path radiance of a band under a sky of this share, not below zero: the mean of the half of all places that lie
 /// closest together, or the median of all if that is less. Too little leaves shaded ground too bright; too much leaves
 /// it without any albedo.
-fn path_radiance(places: &[Place], band: usize, sky: f32) -> f32 {
-    let of_place = |place: &Place| {
+fn path_radiance(places: &[ShadedPlace], band: usize, sky: f32) -> f32 {
+    let of_place = |place: &ShadedPlace| {
         let [shaded, sunlit] = place.visibility.map(|visibility| sky + (1.0 - sky) * visibility);
         let ratio = shaded / sunlit;
         (place.shaded[band] - ratio * place.sunlit[band]) / (1.0 - ratio)
@@ -320,7 +320,7 @@ mod tests {
 
     /// Level ground of two materials in bands of 8 m, its eastern half in the shade; `wrong` of the shaded pixels are
     /// in the sun.
-    fn ground(path_radiance: f32, sky: f32, wrong: usize) -> Ground {
+    fn ground(path_radiance: f32, sky: f32, wrong: usize) -> GroundMap {
         let side = 80;
         let shaded = |at: usize| at % side >= side / 2;
         let albedo = |at: usize| if (at / side / 16).is_multiple_of(2) { 0.15 } else { 0.4 };
@@ -330,7 +330,7 @@ mod tests {
             false => 1.0,
         };
         let value = |at: usize| path_radiance + albedo(at) * light(at) + noise(at);
-        Ground {
+        GroundMap {
             image: Raster {
                 width: side,
                 height: side,

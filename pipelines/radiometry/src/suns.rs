@@ -26,7 +26,7 @@ use heliosplat_stereo::SweepView;
 pub(crate) use horizon::toward;
 use horizon::{relief_of, sample};
 use rayon::prelude::*;
-use score::{BLOCKS, Moments, Sample, shaded_sums};
+use score::{BLOCKS, CellDarkness, Moments, shaded_sums};
 
 /// Searched elevations, degrees: lower suns cast shadows out of the scene, higher ones under their occluders.
 const ELEVATIONS_DEG: [f64; 2] = [10.0, 85.0];
@@ -50,7 +50,7 @@ const DRAWS: usize = 200;
 /// Least correlation of shadow and darkness on a swept surface: suns below it had errors of 3° to 6° with deviations of
 /// 1.1° to 1.5° (docs/lab/suns.md).
 const LEAST_SCORE: f64 = 0.5;
-/// The same on a model's surface, where suns below it had errors of 5° to 8°, and above it of 2° at most.
+/// Least correlation on a model's surface, where suns below it had errors of 5° to 8°, and above it of 2° at most.
 const LEAST_SCORE_OF_MODEL: f64 = 0.35;
 /// Least difference of the scores of the best sun and of the best other one, in standard deviations of the difference.
 const LEAST_MARGIN: f64 = 3.0;
@@ -120,7 +120,7 @@ pub fn find_suns(
     let cells = sample(&relief, MOST_CELLS);
     let darkness = Darkness::new(views, surface, &relief, &cells);
     let horizons = Horizons::new(&relief, &cells);
-    let mut samples: Vec<Vec<Sample>> = Vec::new();
+    let mut samples: Vec<Vec<CellDarkness>> = Vec::new();
     let mut sky: Vec<Option<Sky>> = Vec::new();
     for round in 0..ROUNDS {
         // Cells lit in each view, where its sun is known or was found in the round before.
@@ -232,7 +232,7 @@ struct Sky {
 
 impl Sky {
     /// Scores the whole sky for each date.
-    fn search(horizons: &Horizons, samples: &[Vec<Sample>], latitude_deg: f64) -> Vec<Option<Self>> {
+    fn search(horizons: &Horizons, samples: &[Vec<CellDarkness>], latitude_deg: f64) -> Vec<Option<Self>> {
         let elevations = elevations(ELEVATIONS_DEG[0], ELEVATIONS_DEG[1], COARSE_DEG[1]);
         let scored: Vec<Vec<Vec<Candidate>>> = horizons
             .tangents
@@ -240,7 +240,7 @@ impl Sky {
             .enumerate()
             .map(|(step, tangents)| {
                 let azimuth_deg = step as f64 * COARSE_DEG[0];
-                let of_date = |samples: &Vec<Sample>| {
+                let of_date = |samples: &Vec<CellDarkness>| {
                     let scores = score::of_azimuth(tangents, samples, &elevations);
                     let candidates = elevations.iter().zip(scores).map(|(&elevation_deg, score)| Candidate {
                         azimuth_deg,
@@ -277,7 +277,7 @@ fn elevations(low: f64, high: f64, step: f64) -> Vec<f64> {
 }
 
 /// The sun around the best of the coarse search, with its deviation and its margin over the best elsewhere.
-fn refine(relief: &Relief, cells: &[usize], samples: &[Sample], sky: &Sky) -> Option<ShadowSun> {
+fn refine(relief: &Relief, cells: &[usize], samples: &[CellDarkness], sky: &Sky) -> Option<ShadowSun> {
     let Candidate {
         azimuth_deg,
         elevation_deg,

@@ -15,7 +15,7 @@ pub enum Colour {
     Alpha,
     /// Indices into a colour table.
     Palette,
-    /// Nothing said.
+    /// Not stated.
     Undefined,
 }
 

@@ -1,4 +1,4 @@
-//! Reading what others wrote: files of bounded size, and only real files. A pipe would wait for ever, a device never ends.
+//! Reading of untrusted files: bounded size, regular files alone. A pipe would block, and a device would never end.
 
 use std::fs::File;
 use std::io::{Error, ErrorKind, Read, Result};

@@ -1,4 +1,4 @@
-//! Coordinate reference systems: which one a scene gets, and transformations by PROJ.
+//! Coordinate reference systems: choice for a scene, and transformations by PROJ.
 
 use super::{RasterError, messages};
 use gdal::spatial_ref::SpatialRef;

@@ -17,7 +17,7 @@ pub const VIEWS: &str = "views";
 pub const COMPANIONS: [(&str, &str); 3] = [(STANDARD_DEVIATION, "stddev"), (COVERAGE, "coverage"), (VIEWS, "views")];
 
 /// The file beside `path` whose name ends in `suffix`: `dsm_views.tif` beside `dsm.tif`.
-pub fn beside(path: &Path, suffix: &str) -> PathBuf {
+pub fn companion(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.file_stem().unwrap_or_default().to_owned();
     name.push("_");
     name.push(suffix);
@@ -37,7 +37,7 @@ impl GeoRaster {
         }
         surface.band_names = vec![ALTITUDE.to_owned()];
         for (band, suffix) in COMPANIONS {
-            let path = beside(path, suffix);
+            let path = companion(path, suffix);
             if !path.is_file() {
                 continue;
             }

@@ -1,4 +1,4 @@
-//! Reading: what a raster file is, and its pixels as `f32` with `NaN` where nothing is known.
+//! Reading of a raster file: its description, and its pixels as `f32` with `NaN` where they are missing.
 
 use super::pansharpen::Pansharpening;
 use super::stacked::Stack;
@@ -231,7 +231,7 @@ impl RasterFile {
         items(self.dataset(), name)
     }
 
-    /// The same of the file by itself, as if nothing lay beside it.
+    /// A metadata domain of the file itself, without the files beside it.
     pub fn own_domain(&self, name: &str) -> BTreeMap<String, String> {
         let file_name = self.path.file_name().and_then(|name| name.to_str());
         let (false, Some(file_name)) = (is_virtual(&self.path), file_name) else {

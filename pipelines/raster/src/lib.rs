@@ -1,4 +1,4 @@
-//! Raster files: the only place that speaks GDAL and PROJ.
+//! Raster files: the only crate that links GDAL and PROJ.
 //!
 //! Everything else sees [`Raster`](heliosplat::Raster) values, a [`GeoTransform`] and a [`Crs`]. Two conventions are
 //! turned here and nowhere else: missing values become `NaN`, and GDAL's pixel corners become our pixel centres at
@@ -32,7 +32,9 @@ pub use grid::{EnuGrid, GeoTransform, GridSpec};
 pub use pansharpen::GridRelation;
 pub use streamed::StreamedCog;
 pub use tiled::Tile;
-pub use write::{Bytes, ImageSpec, Sample, copy_with_rpc, write_atomically, write_byte_cog, write_cog, write_geotiff};
+pub use write::{
+    Bytes, ImageSpec, SampleType, copy_with_rpc, write_atomically, write_byte_cog, write_cog, write_geotiff,
+};
 
 use std::path::{Path, PathBuf};
 

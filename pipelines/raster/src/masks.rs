@@ -9,7 +9,7 @@ use gdal::raster::RasterBand;
 use std::path::{Path, PathBuf};
 
 /// The mask that GDAL reads beside a file.
-pub(super) fn beside(path: &Path) -> PathBuf {
+pub(super) fn mask_path(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".msk");
     name.into()
@@ -63,7 +63,7 @@ pub(super) fn check(path: &Path, dataset: &Dataset) -> std::result::Result<(), R
     let unreadable = |path: PathBuf, reason: String| RasterError::Unreadable { path, reason };
     let mask =
         of_band(dataset, 0, |mask| Ok(mask.size())).map_err(|error| unreadable(path.to_owned(), error.to_string()))?;
-    let beside = beside(path);
+    let beside = mask_path(path);
     let Some(size) = mask else {
         return match beside.is_file() && bounded::read_start(&beside, 1).len() == 1 {
             true => Err(unreadable(

@@ -159,7 +159,7 @@ fn resample(image: &Raster, across: &Taps, down: &Taps) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ImageSpec, Sample, write_geotiff};
+    use crate::{ImageSpec, SampleType, write_geotiff};
     use std::path::Path;
 
     /// A pan image of 64 x 48 pixels of 100 to 227, and colours of a quarter of its size whose first band is the pan image's mean
@@ -180,7 +180,7 @@ mod tests {
         }
         let paths = ["pan & more.tif", "colours.tif"].map(|name| folder.join(name));
         for (path, raster) in paths.iter().zip([&pan, &colours]) {
-            write_geotiff(path, &ImageSpec::plain(raster), Sample::U16).expect("written");
+            write_geotiff(path, &ImageSpec::plain(raster), SampleType::U16).expect("written");
         }
         paths
     }

@@ -1,4 +1,4 @@
-//! The bands of one image that its vendor wrote into several files, read as one.
+//! An image whose bands are in several files, read as one.
 
 use super::RasterError;
 use super::Window;

@@ -1,4 +1,4 @@
-//! An image that its vendor cut into tiles, read as one.
+//! An image in several tiles, read as one.
 
 use super::RasterError;
 use super::Window;

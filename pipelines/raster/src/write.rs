@@ -48,7 +48,7 @@ impl<'a> ImageSpec<'a> {
 
 /// The sample type of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sample {
+pub enum SampleType {
     /// 8 bits, 0..=255.
     U8,
     /// 16 bits, 0..=65535.
@@ -84,7 +84,7 @@ impl Bytes {
 pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
     write_copy(
         path,
-        &in_memory(path, spec, Sample::F32)?,
+        &in_memory(path, spec, SampleType::F32)?,
         "COG",
         &cog_options("AVERAGE"),
     )
@@ -143,8 +143,8 @@ pub(super) fn cog_options(resampling: &str) -> [String; 6] {
 ///
 /// # Errors
 /// As [`write_cog`].
-pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<(), RasterError> {
-    let predictor = if sample == Sample::F32 {
+pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<(), RasterError> {
+    let predictor = if sample == SampleType::F32 {
         "PREDICTOR=3"
     } else {
         "PREDICTOR=2"
@@ -263,16 +263,16 @@ impl Drop for VirtualFile {
     }
 }
 
-fn in_memory(path: &Path, spec: &ImageSpec, sample: Sample) -> Result<Dataset, RasterError> {
+fn in_memory(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<Dataset, RasterError> {
     let built = match sample {
-        Sample::F32 => build(
+        SampleType::F32 => build(
             spec,
             |_, value| if value.is_finite() { value } else { NODATA },
             Some(NODATA),
         ),
         // `as` saturates and turns NaN into 0.
-        Sample::U8 => build(spec, |_, value| value.round() as u8, None),
-        Sample::U16 => build(spec, |_, value| value.round() as u16, None),
+        SampleType::U8 => build(spec, |_, value| value.round() as u8, None),
+        SampleType::U16 => build(spec, |_, value| value.round() as u16, None),
     };
     built.map_err(|reason| RasterError::Write {
         path: path.to_owned(),
@@ -404,7 +404,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RasterError> {
     write_atomically_with(path, |file| file.write_all(bytes))
 }
 
-/// The same with what `fill` writes.
+/// Writes a file by `fill`, completely or not at all.
 ///
 /// # Errors
 /// As [`write_cog`].
@@ -493,7 +493,7 @@ mod tests {
             bands: 1,
             values: vec![-3.0, 1.6, 70_000.0, f32::NAN],
         };
-        write_geotiff(&path, &ImageSpec::plain(&raster), Sample::U16).expect("written");
+        write_geotiff(&path, &ImageSpec::plain(&raster), SampleType::U16).expect("written");
         let back = RasterFile::open(&path).expect("readable").read_all().expect("pixels");
         assert_eq!(back.values, vec![0.0, 2.0, 65535.0, 0.0]);
     }

@@ -16,7 +16,7 @@ pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
 pub use vectors::ImageVectors;
 
 use super::error::SatelliteError;
-use super::ground::Ground;
+use super::ground::GroundViews;
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use heliosplat_scene::Scene;
@@ -34,15 +34,15 @@ const WORTHLESS_SCORE: f32 = 0.7;
 ///
 /// # Errors
 /// [`SatelliteError::TooFewViews`] when fewer than two images show the common ground.
-pub fn ground(scene: &Scene) -> Result<Ground<'_>, SatelliteError> {
-    Ground::new(scene, scene.images.iter())
+pub fn ground(scene: &Scene) -> Result<GroundViews<'_>, SatelliteError> {
+    GroundViews::new(scene, scene.images.iter())
 }
 
 /// Input of the search for ties.
 #[derive(Clone, Copy)]
 pub struct AdjustInput<'a> {
     /// The ground.
-    pub ground: &'a Ground<'a>,
+    pub ground: &'a GroundViews<'a>,
     /// Its views with their cameras as delivered.
     pub views: &'a [SweepView<'a>],
     /// Width of the patches' cells: a pixel on the ground, metres.
@@ -77,7 +77,11 @@ impl AdjustInput<'_> {
                 full.rounds
             );
         }
-        tracing::info!("Cameras adjusted by {} tie points, residual {:.2} px", full.points.len(), full.sigma_px);
+        tracing::info!(
+            "Cameras adjusted by {} tie points, residual {:.2} px",
+            full.points.len(),
+            full.sigma_px
+        );
         Ok((full, tracks))
     }
 

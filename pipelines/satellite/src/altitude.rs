@@ -7,7 +7,7 @@
 //! result, on finer ones. The range is the span of the matches of all pairs, with a margin. A sweep of all images in
 //! large cells over that range confirms it, or widens it where its surface lies at a limit.
 
-use super::ground::Ground;
+use super::ground::GroundViews;
 use super::limits::AtLimits;
 use heliosplat_grid::statistics::quantile;
 use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
@@ -24,7 +24,7 @@ const PARTNERS: usize = 2;
 const OTHER_DAY: f64 = 0.5;
 /// Pixels each way to which images are averaged down for the first search: a few hundred patches of their own.
 const COARSE_PX: f64 = 320.0;
-/// The same at most for the second search.
+/// Largest side of an image in the second search, pixels.
 const FINE_PX: f64 = 2048.0;
 /// Factor by which the second search is finer.
 const FINER: usize = 4;
@@ -43,7 +43,7 @@ const COARSE_MARGIN: (f64, f64, f64) = (40.0, 0.25, 4.0);
 /// Margin below and above the second search's range, metres: corners lie on roofs and streets, but seldom in a pit or
 /// on a spire.
 const MARGIN_M: (f64, f64) = (15.0, 40.0);
-/// The same as a share of the span.
+/// Margin of the range, as a share of its span.
 const MARGIN_SHARE: f64 = 0.15;
 
 /// Ground sampling distances of two images that differ by more than this factor are equalised before matching.
@@ -82,7 +82,7 @@ pub fn open(index: &Index, options: &IngestOptions) -> Result<Scene, SceneError>
 /// The surface of a scene in large cells, with its cameras as given; `None` where too few images show the common
 /// ground.
 fn coarse_sweep(scene: &Scene) -> Option<Surface> {
-    let ground = Ground::new(scene, scene.training()).ok()?;
+    let ground = GroundViews::new(scene, scene.training()).ok()?;
     let cell_m = COARSE_CELL_GSD * scene.gsd_m;
     let matching = MatchingParameters::choose(&ground.matching_facts(cell_m));
     let rasters = ground.rasters();
@@ -144,7 +144,7 @@ struct Pair {
     weight: f64,
     /// Ground sampling distance of the first image, metres.
     gsd_m: f64,
-    /// Of the second.
+    /// Ground sampling distance of the second image, metres.
     other_gsd_m: f64,
     /// Offset of the second image across the epipolar lines, pixels of the first.
     across_px: f64,

@@ -1,13 +1,13 @@
 //! Cloud masks of a scene's images.
 
-use super::ground::Ground;
+use super::ground::GroundViews;
 use heliosplat::Raster;
 use heliosplat_stereo::PlaneSweepRequest;
 use heliosplat_stereo::clouds::find_clouds;
 
 /// The pixels of each crop of `ground` that show clouds, its cameras moved by `shifts_px`; empty where there are none.
 pub(super) fn find(
-    ground: &Ground,
+    ground: &GroundViews,
     rasters: &[Raster],
     shifts_px: &[[f32; 2]],
     request: &PlaneSweepRequest,
@@ -20,7 +20,7 @@ pub(super) fn find(
 
 /// Says what is left out of each crop of `ground`. An image whose camera contradicts the others looks cloudy wherever
 /// it is laid.
-pub(super) fn say(ground: &Ground, masks: &[Vec<bool>], contradicting: &[bool]) {
+pub(super) fn log_shares(ground: &GroundViews, masks: &[Vec<bool>], contradicting: &[bool]) {
     for (place, (mask, image)) in masks.iter().zip(&ground.images).enumerate() {
         let share = 100.0 * share(mask);
         match contradicting.get(place) {

@@ -115,7 +115,7 @@ impl Default for ModelOptions {
     }
 }
 
-/// Everything that decides a satellite run besides its scene.
+/// Configuration of a satellite run.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SatelliteConfig {

@@ -26,7 +26,7 @@ const STEP_BYTES_PER_GAUSSIAN: f64 = 580.0;
 const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
 /// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.
 const PLANES: f64 = 24.0;
-/// The same per channel.
+/// Planes of a view per channel.
 const PLANES_PER_CHANNEL: f64 = 4.0;
 
 /// Estimated size and memory of a training.
@@ -36,7 +36,7 @@ pub struct Estimate {
     pub gaussians: f64,
     /// Most memory, bytes.
     pub peak_bytes: f64,
-    /// The same if there were one Gaussian per cell and no more.
+    /// Peak memory with one Gaussian per cell, bytes.
     pub least_bytes: f64,
     /// Steps.
     pub steps: usize,
@@ -100,7 +100,7 @@ impl From<&Scene> for Extent {
             bands: scene.bands().len(),
             training: scene.training().count(),
             altitudes_m: scene.altitude_range_m.1 - scene.altitude_range_m.0,
-            widest_base_to_height: ground::Ground::new(scene, scene.training())
+            widest_base_to_height: ground::GroundViews::new(scene, scene.training())
                 .map_or(0.0, |ground| ground.widest_base_to_height()),
         }
     }
@@ -134,7 +134,7 @@ pub fn estimate(scene: &Scene, config: &SatelliteConfig) -> Estimate {
     estimate_of(&scene.into(), config, held_bytes(scene))
 }
 
-/// The same of any ground, in a process that holds `held` bytes when training begins, the images among them.
+/// Estimate for any ground, in a process that holds `held` bytes, images included, when training begins.
 pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, held: f64) -> Estimate {
     let &Extent {
         gsd_m,

@@ -1,9 +1,9 @@
 //! From a scene to a trained model: prepare, initialise, colour, train, finish.
 
-use super::beginning::{self, InitialState, SKY};
 use super::config::SatelliteConfig;
 use super::error::SatelliteError;
-use super::plan::{Decisions, Light};
+use super::initial_state::{self, InitialState, SKY};
+use super::plan::{Decisions, Lighting};
 use super::preprocess::{Preprocess, Preprocessed};
 
 use super::{probe, short_fit, suns};
@@ -72,7 +72,7 @@ pub struct Fitted {
 
 /// A model before its first step.
 struct Start {
-    beginning: InitialState,
+    initial: InitialState,
     /// The suns of the images trained on.
     suns: Vec<ImageSun>,
     decisions: Decisions,
@@ -120,7 +120,7 @@ impl FitRequest<'_> {
         let daylight = self.finish(&start, &colours, &mut trained);
         let Preprocess { ground, found } = swept;
         Ok(Fitted {
-            model: start.beginning.model,
+            model: start.initial.model,
             trained,
             suns: suns::after(self.scene, &found.shadow_suns),
             found,
@@ -190,11 +190,11 @@ impl FitRequest<'_> {
         let &Self { scene, config, .. } = self;
         let Preprocess { ground, found } = swept;
         let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, self.decisions);
-        if decisions.light == Light::LeftOut || decisions.only_known_suns {
+        if decisions.light == Lighting::LeftOut || decisions.only_known_suns {
             tracing::warn!("{}", decisions.light_reason());
         }
-        let beginning = InitialState::new(ground, found, &suns, &decisions, config)?;
-        let InitialState { parameters, views, .. } = &beginning;
+        let initial = InitialState::new(ground, found, &suns, &decisions, config)?;
+        let InitialState { parameters, views, .. } = &initial;
         tracing::debug!(
             "start: {} Gaussians on {} cells",
             parameters.gaussians.count,
@@ -204,11 +204,18 @@ impl FitRequest<'_> {
             let known: Vec<bool> = view.weight.iter().map(|&weight| weight > 0.0).collect();
             KnownTiles::of(view.image.width, &known)
         };
-        let mut options = beginning::train_options(config, scene, views.len());
+        let mut options = initial_state::train_options(config, scene, views.len());
         Ok(Start {
             known: views.iter().map(known).collect(),
-            memory_estimate: beginning::fit_into_memory(self.memory, scene, parameters, views, config, &mut options)?,
-            beginning,
+            memory_estimate: initial_state::fit_into_memory(
+                self.memory,
+                scene,
+                parameters,
+                views,
+                config,
+                &mut options,
+            )?,
+            initial,
             suns,
             decisions,
             options,
@@ -222,7 +229,7 @@ impl FitRequest<'_> {
             model,
             parameters,
             views,
-        } = &mut start.beginning;
+        } = &mut start.initial;
         let shades = colours::initialise(model, parameters, views, SKY);
         let one_light = OneLight::of(&start.suns, model.options.reference);
         if let Some(light) = &one_light {
@@ -246,13 +253,13 @@ impl FitRequest<'_> {
             model,
             parameters,
             views,
-        } = &mut start.beginning;
+        } = &mut start.initial;
         let (parameters, mut views) = (std::mem::take(parameters), std::mem::take(views));
         if start.decisions.only_known_suns {
-            beginning::keep_known_suns(&mut views);
+            initial_state::keep_known_suns(&mut views);
         }
         let steps = start.options.iterations;
-        let bounds = beginning::bounds(&swept.ground);
+        let bounds = initial_state::bounds(&swept.ground);
         let options = start.options.clone();
         let mut trainer = Trainer::new(model, views, parameters, options, bounds, Some(self.nadir()))?;
         if let Some(state) = state {
@@ -268,7 +275,7 @@ impl FitRequest<'_> {
 
     /// Solves the albedo once more, and finds the brightness of the ground under any sun.
     fn finish(&self, start: &Start, colours: &Colours, trained: &mut Trained) -> Option<Daylight> {
-        let model = &start.beginning.model;
+        let model = &start.initial.model;
         let views = std::mem::take(&mut trained.views);
         let parameters: &mut Parameters = &mut trained.parameters;
         let part = stage("albedo");

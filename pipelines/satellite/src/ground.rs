@@ -16,7 +16,7 @@ use heliosplat_stereo::{
 pub const MARGIN_M: f64 = 4.0;
 
 /// A piece of ground and the images that show it.
-pub struct Ground<'a> {
+pub struct GroundViews<'a> {
     /// The images.
     pub images: Vec<&'a SceneImage>,
     /// Part of each image that shows the ground.
@@ -32,7 +32,7 @@ pub struct Ground<'a> {
     groups: Vec<u32>,
 }
 
-impl<'a> Ground<'a> {
+impl<'a> GroundViews<'a> {
     /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
     ///
     /// # Errors

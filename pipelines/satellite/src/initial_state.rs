@@ -2,7 +2,7 @@
 
 use super::config::SatelliteConfig;
 use super::error::SatelliteError;
-use super::ground::Ground;
+use super::ground::GroundViews;
 use super::plan::Decisions;
 use super::preprocess::Preprocessed;
 use super::views;
@@ -39,7 +39,7 @@ impl InitialState {
     /// # Errors
     /// [`SatelliteError`] when a user's shadow mask cannot be read.
     pub(super) fn new(
-        ground: &Ground,
+        ground: &GroundViews,
         found: &Preprocessed,
         suns: &[ImageSun],
         decisions: &Decisions,
@@ -106,7 +106,7 @@ fn reference(suns: &[ImageSun]) -> usize {
 }
 
 /// The model of the images of `ground`.
-fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bool) -> ShadowGs {
+fn model(ground: &GroundViews, suns: &[ImageSun], decisions: &Decisions, changing: bool) -> ShadowGs {
     let images = ground.images.len();
     let days = ground
         .images
@@ -130,7 +130,7 @@ fn model(ground: &Ground, suns: &[ImageSun], decisions: &Decisions, changing: bo
 fn give_priors(
     views: &mut [View],
     suns: &[ImageSun],
-    ground: &Ground,
+    ground: &GroundViews,
     surface: &Surface,
     config: &SatelliteConfig,
 ) -> Result<(), MaskError> {
@@ -156,7 +156,7 @@ fn give_priors(
 }
 
 /// Outside of this box Gaussians are pruned, metres.
-pub(super) fn bounds(ground: &Ground) -> (Vec3, Vec3) {
+pub(super) fn bounds(ground: &GroundViews) -> (Vec3, Vec3) {
     let (area, slack) = (&ground.area, 2.0);
     (
         Vec3::new(

@@ -6,7 +6,6 @@
 
 pub mod adjust;
 pub mod altitude;
-mod beginning;
 mod clouds;
 pub mod config;
 pub mod error;
@@ -14,6 +13,7 @@ pub mod estimate;
 pub mod fit;
 pub mod ground;
 mod initial;
+mod initial_state;
 pub mod limits;
 pub mod measure;
 mod plan;
@@ -31,4 +31,4 @@ pub mod training;
 mod views;
 
 pub use error::SatelliteError;
-pub use plan::{Decisions, Light, PlanItem};
+pub use plan::{Decisions, Lighting, PlanItem};

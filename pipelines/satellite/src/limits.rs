@@ -10,7 +10,7 @@ const CONFIDENT: f32 = 0.5;
 const TOUCHING: f64 = 0.01;
 /// By which share of its width a range is widened on the side that the surface touches.
 const WIDENING: f64 = 0.5;
-/// The same at least, metres.
+/// Least widening of the range, metres.
 const LEAST_WIDENING_M: f64 = 20.0;
 
 /// Matched cells of a surface, and those of them that lie at the lowest and at the highest altitude that was searched.

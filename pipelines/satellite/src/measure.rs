@@ -5,7 +5,7 @@ use super::error::SatelliteError;
 use super::fit::Fitted;
 use super::relit;
 use heliosplat::Raster;
-use heliosplat::timeline::{beside, stage};
+use heliosplat::timeline::{concurrently, stage};
 use heliosplat_evaluate::change::evaluate_change;
 use heliosplat_evaluate::shadow::ShadowCounts;
 use heliosplat_evaluate::{DsmEvaluation, ImageScore, Protocol, error_map, evaluate_dsm};
@@ -59,7 +59,7 @@ pub fn dsm(
 pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
     let model = &whole.on_last();
     let mut out = json!({ "gaussians": model.parameters.gaussians.count, "suns": suns(&model.file.images) });
-    let (surface, views) = beside(
+    let (surface, views) = concurrently(
         || surface(scene, model, run, protocol),
         || views(scene, whole, model, run),
     );
@@ -152,7 +152,7 @@ fn views(scene: &Scene, whole: &LoadedModel, model: &LoadedModel, run: &Path) ->
     // While one view is rendered on nearly all threads, the one before it is scored and drawn.
     for known in &model.file.images {
         let before = waiting.take();
-        let (scores, rendered) = beside(
+        let (scores, rendered) = concurrently(
             || before.map(measure).transpose(),
             || {
                 let _part = stage("render");
@@ -399,7 +399,11 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
         number("/rejected_steps").filter(|&n| n > 0.0),
         "(numbers that were not finite)",
     );
-    add("start MAE", number("/start/mae_m"), "m (raw, plane sweep before training)");
+    add(
+        "start MAE",
+        number("/start/mae_m"),
+        "m (raw, plane sweep before training)",
+    );
     add("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
     add(
         "DSM MAE",

@@ -8,10 +8,10 @@ mod index;
 mod light;
 
 use index::Index;
-pub use light::Light;
+pub use light::Lighting;
 
 use super::config::{Align, SatelliteConfig, THRESHOLD_PX};
-use super::ground::Ground;
+use super::ground::GroundViews;
 use heliosplat_radiometry::shadow_prior::ENOUGH_VIEWS;
 use heliosplat_radiometry::suns::ShadowSun;
 use heliosplat_scene::{ImageSun, Scene, SceneImage, SunSource};
@@ -24,7 +24,7 @@ use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_w
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Decisions {
     /// Lighting of the model.
-    pub light: Light,
+    pub light: Lighting,
     /// Images whose sun stays unknown take no part in training.
     pub only_known_suns: bool,
     /// Each image has an affine colour of its own.
@@ -49,7 +49,7 @@ pub struct Decisions {
     pub opaqueness_weight: f32,
     /// Parameters of the plane sweep; `None` where no two images show the common ground.
     pub matching: Option<MatchingParameters>,
-    /// The same in words, with reasons.
+    /// The decisions in words, with reasons.
     #[serde(skip)]
     pub items: Vec<PlanItem>,
 }
@@ -90,7 +90,7 @@ impl Facts {
         let images: Vec<&SceneImage> = scene.training().collect();
         let known = || images.iter().filter_map(|image| image.sun.position);
         let elevations = || known().map(|sun| sun.elevation_rad.to_degrees());
-        let ground = Ground::new(scene, scene.training()).map_err(|error| error.to_string());
+        let ground = GroundViews::new(scene, scene.training()).map_err(|error| error.to_string());
         let index = Index::of(&images);
         Self {
             images: images.len(),
@@ -105,7 +105,7 @@ impl Facts {
             ),
             dividing_days: ground
                 .as_ref()
-                .map_or(Some(Vec::new()), Ground::days)
+                .map_or(Some(Vec::new()), GroundViews::days)
                 .map(|days| dividing_days(&days).len()),
             matching: ground.map(|ground| ground.matching_facts(config.start.cell_gsd * scene.gsd_m)),
             index,
@@ -169,15 +169,15 @@ impl Decisions {
     /// results for each image.
     pub(super) fn after_search(&self, suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> Self {
         let mut decisions = self.clone();
-        if self.light != Light::FromShadows {
+        if self.light != Lighting::FromShadows {
             return decisions;
         }
         let any = |source: SunSource| suns.iter().any(|sun| sun.source == source);
         let lit = suns.iter().any(|sun| sun.position.is_some());
         decisions.light = match (lit, any(SunSource::Shadows)) {
-            (true, true) => Light::FromShadows,
-            (true, false) => Light::Known,
-            (false, _) => Light::LeftOut,
+            (true, true) => Lighting::FromShadows,
+            (true, false) => Lighting::Known,
+            (false, _) => Lighting::LeftOut,
         };
         let mut set = |component: &str, on: bool, reason: String| {
             let found = decisions.items.iter_mut().find(|item| item.component == component);
@@ -188,11 +188,7 @@ impl Decisions {
         set(SUN, lit, light::search_in_words(suns, searched));
         decisions.only_known_suns = light::only_known(suns);
         if !lit {
-            set(
-                SHADOW_PRIOR,
-                false,
-                "no sun is known: shadows cannot be traced".into(),
-            );
+            set(SHADOW_PRIOR, false, "no sun is known: shadows cannot be traced".into());
             decisions.shadow_prior = false;
             decisions.opaqueness_weight = 0.0;
         }
@@ -224,7 +220,7 @@ impl Decisions {
         let &Facts { images, dates, .. } = facts;
         let [many_view_matching, cost_aggregation] = matching_items(&facts.matching, self.matching);
         vec![
-            item(SUN, self.light != Light::LeftOut, facts.light_reason()),
+            item(SUN, self.light != Lighting::LeftOut, facts.light_reason()),
             decided(
                 "model.image_colour",
                 self.image_colour,
@@ -282,9 +278,7 @@ impl Decisions {
                 config.model.shadow_prior,
                 images < ENOUGH_VIEWS,
                 if images < ENOUGH_VIEWS {
-                    format!(
-                        "{images} views are few: dark pixels with an object toward the sun guide the shadows"
-                    )
+                    format!("{images} views are few: dark pixels with an object toward the sun guide the shadows")
                 } else {
                     format!("{images} views: enough to find shadows from the geometry alone")
                 },
@@ -448,9 +442,9 @@ mod tests {
         config.model.opaqueness_weight = 1.0;
         let dark = Facts { suns: 0, ..facts(3, 3) };
         let before = Decisions::from_facts(&dark, &config);
-        assert_eq!(before.light, Light::FromShadows);
+        assert_eq!(before.light, Lighting::FromShadows);
         let after = before.after_search(&[ImageSun::unknown(); 3], &[None, Some(shadow_sun(1.3)), None]);
-        assert_eq!((after.light, after.opaqueness_weight), (Light::LeftOut, 0.0));
+        assert_eq!((after.light, after.opaqueness_weight), (Lighting::LeftOut, 0.0));
         assert!(!after.shadow_prior && after.image_colour);
         let off = |component| after.items.iter().any(|item| item.component == component && !item.on);
         assert!(off(SUN) && off(SHADOW_PRIOR));
@@ -477,7 +471,7 @@ mod tests {
             ImageSun::unknown(),
         ];
         let after = before.after_search(&suns, &[None, Some(shadow_sun(9.0)), None]);
-        assert_eq!(after.light, Light::FromShadows);
+        assert_eq!(after.light, Lighting::FromShadows);
         let text = after.light_reason();
         assert!(
             text.contains("of 1 of 3 images are known") && text.contains("of 1 shadows give no direction"),

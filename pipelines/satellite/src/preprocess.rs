@@ -5,7 +5,7 @@ use super::altitude;
 use super::clouds;
 use super::config::{Align, CameraOptions, SatelliteConfig, THRESHOLD_PX};
 use super::error::SatelliteError;
-use super::ground::Ground;
+use super::ground::GroundViews;
 use super::limits::AtLimits;
 use super::plan::Decisions;
 use heliosplat::Raster;
@@ -47,7 +47,7 @@ pub struct Preprocessed {
 
 /// A scene's surface before any training, with its inputs.
 pub(super) struct Preprocess<'a> {
-    pub(super) ground: Ground<'a>,
+    pub(super) ground: GroundViews<'a>,
     pub(super) found: Preprocessed,
 }
 
@@ -64,7 +64,7 @@ impl<'a> Preprocess<'a> {
         session: &Session,
     ) -> Result<Self, SatelliteError> {
         let started = Instant::now();
-        let ground = Ground::new(scene, scene.training())?;
+        let ground = GroundViews::new(scene, scene.training())?;
         let images = ground.images.len();
         let matching = decisions.matching.ok_or(SatelliteError::TooFewViews { images })?;
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
@@ -81,7 +81,7 @@ impl<'a> Preprocess<'a> {
             tracing::info!("Searching clouds again with the corrected cameras");
             (rasters, clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
         }
-        clouds::say(&ground, &clouds, &contradicting);
+        clouds::log_shares(&ground, &clouds, &contradicting);
         let aligned = started.elapsed();
         let progress = session.progress("sweep", 100);
         let part = stage("sweep");
@@ -155,7 +155,7 @@ impl<'a> Preprocess<'a> {
     /// # Errors
     /// As [`Self::new`].
     pub(super) fn again(scene: &'a Scene, found: Preprocessed) -> Result<Option<Self>, SatelliteError> {
-        let ground = Ground::new(scene, scene.training())?;
+        let ground = GroundViews::new(scene, scene.training())?;
         let images = ground.images.len();
         let mut masks = found.clouds.iter().zip(&ground.crops);
         let fits = found.shifts_px.len() == images
@@ -172,7 +172,7 @@ impl<'a> Preprocess<'a> {
 /// The pixels of the crops of `ground` without clouds, and where clouds were, if they are to be searched; cameras are
 /// moved by `shifts_px`.
 pub(super) fn clear_rasters(
-    ground: &Ground,
+    ground: &GroundViews,
     decisions: &Decisions,
     shifts_px: &[[f32; 2]],
     request: &PlaneSweepRequest,
@@ -189,7 +189,7 @@ pub(super) fn clear_rasters(
 
 /// The surface that the crops of `ground` find together, their cameras moved by `shifts_px`.
 pub(super) fn sweep(
-    ground: &Ground,
+    ground: &GroundViews,
     rasters: &[Raster],
     shifts_px: &[[f32; 2]],
     decisions: &Decisions,
@@ -201,14 +201,14 @@ pub(super) fn sweep(
 }
 
 /// A vegetation index of each crop, where it is to be compared.
-fn indices(ground: &Ground, rasters: &[Raster], decisions: &Decisions) -> Option<Vec<Raster>> {
+fn indices(ground: &GroundViews, rasters: &[Raster], decisions: &Decisions) -> Option<Vec<Raster>> {
     let asked = decisions.vegetation_index.then(|| ground.vegetation_indices(rasters));
     asked.flatten()
 }
 
 /// The crops as the sweep takes them.
 fn views<'r>(
-    ground: &Ground,
+    ground: &GroundViews,
     rasters: &'r [Raster],
     indices: &'r Option<Vec<Raster>>,
     shifts_px: &[[f32; 2]],
@@ -222,7 +222,7 @@ fn views<'r>(
 
 /// Changes between the images, where they are to be searched; `surface` becomes that of the last.
 fn changes(
-    ground: &Ground,
+    ground: &GroundViews,
     rasters: &[Raster],
     shifts_px: &[[f32; 2]],
     decisions: &Decisions,
@@ -246,7 +246,7 @@ fn changes(
 /// Lowers parts of the surface that bridge shaded ground, by the brightness of the crops; `None` where that is not
 /// possible.
 pub(super) fn lower(
-    ground: &Ground,
+    ground: &GroundViews,
     rasters: &[Raster],
     shifts_px: &[[f32; 2]],
     surface: &mut Surface,
@@ -298,7 +298,11 @@ pub fn open_and_sweep(
         let Some(range_m) = wider.filter(|_| scene.altitude_known_from == AltitudeSource::Ties) else {
             break;
         };
-        tracing::info!("Sweeping again from {:.0} to {:.0} m: the surface touched a limit", range_m.0, range_m.1);
+        tracing::info!(
+            "Sweeping again from {:.0} to {:.0} m: the surface touched a limit",
+            range_m.0,
+            range_m.1
+        );
         let options = IngestOptions {
             altitude_from_ties_m: Some(range_m),
             ..options.clone()
@@ -315,7 +319,7 @@ pub fn open_and_sweep(
 /// Corrections of the images' pointing, pixels, zero where the configuration excludes them or the estimate is too
 /// small; and whether each image's ties contradict its camera.
 fn align(
-    ground: &Ground,
+    ground: &GroundViews,
     rasters: &[Raster],
     cameras: &CameraOptions,
     matching: MatchingParameters,
@@ -347,7 +351,7 @@ fn align(
 /// # Errors
 /// When there are too few ties.
 pub(super) fn adjustment_of_ties(
-    ground: &Ground,
+    ground: &GroundViews,
     rasters: &[Raster],
     matching: MatchingParameters,
     gsd_m: f64,
@@ -364,7 +368,7 @@ pub(super) fn adjustment_of_ties(
     input.adjust(BiasModel::Translation, &|_| {})
 }
 
-/// The same where `align` is on or the shifts are large enough; else none.
+/// The shifts if `align` is on or they are large enough; else none.
 pub(super) fn worth_correcting(shifts_px: Vec<[f32; 2]>, align: Align) -> Vec<[f32; 2]> {
     let largest = shifts_px.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
     tracing::info!("Largest correction of a camera: {largest:.2} px");

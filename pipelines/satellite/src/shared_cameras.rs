@@ -6,7 +6,7 @@
 use crate::adjust::AdjustInput;
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
-use crate::ground::Ground;
+use crate::ground::GroundViews;
 use crate::plan::Decisions;
 use crate::preprocess::{clear_rasters, worth_correcting};
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
@@ -102,7 +102,7 @@ fn ties_of(index: &Index, options: &IngestOptions, config: &SatelliteConfig) -> 
         scene => scene?,
     };
     let decisions = Decisions::of(&scene, config);
-    let (Ok(ground), Some(matching)) = (Ground::new(&scene, scene.training()), decisions.matching) else {
+    let (Ok(ground), Some(matching)) = (GroundViews::new(&scene, scene.training()), decisions.matching) else {
         return Ok(Vec::new());
     };
     let none = vec![[0.0; 2]; ground.images.len()];

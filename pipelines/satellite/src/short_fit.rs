@@ -3,9 +3,9 @@
 //! Roofs of a swept surface are too wide and its walls lean, and its shadows have the same errors. A model of a few
 //! steps has its walls in the right place: shadows and dark ground agree better on it by half (docs/lab/suns.md).
 
-use super::beginning::{self, InitialState, SKY};
 use super::error::SatelliteError;
 use super::fit::FitRequest;
+use super::initial_state::{self, InitialState, SKY};
 use super::preprocess::Preprocess;
 use super::suns;
 use heliosplat::ProjectiveCamera;
@@ -42,17 +42,17 @@ pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<
         mut parameters,
         mut views,
     } = InitialState::new(ground, found, &suns, &decisions, config)?;
-    let mut options = beginning::train_options(config, scene, views.len());
+    let mut options = initial_state::train_options(config, scene, views.len());
     options.iterations = options.iterations.min(STEPS);
     options.patience = 0;
-    beginning::fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
+    initial_state::fit_into_memory(memory, scene, &parameters, &views, config, &mut options)?;
     colours::initialise(&model, &mut parameters, &mut views, SKY);
     linear::begin(&model, &mut parameters, &views);
     if views.iter().filter(|view| view.light.is_some()).count() >= FEWEST_KNOWN {
-        beginning::keep_known_suns(&mut views);
+        initial_state::keep_known_suns(&mut views);
     }
     let progress = session.progress("short fit", options.iterations as u64);
-    let mut trainer = Trainer::new(&model, views, parameters, options, beginning::bounds(ground), None)?;
+    let mut trainer = Trainer::new(&model, views, parameters, options, initial_state::bounds(ground), None)?;
     let mut steps = 0;
     while !trainer.finished() {
         trainer.step()?;

@@ -1,7 +1,7 @@
 //! The suns that light a model: known ones, and suns estimated from shadows for the other images.
 
 use super::clouds;
-use super::ground::Ground;
+use super::ground::GroundViews;
 use super::plan::Decisions;
 use super::preprocess::Preprocess;
 use heliosplat::timeline::stage;
@@ -45,7 +45,7 @@ pub(super) fn are_undecided(searched: &[Option<ShadowSun>]) -> bool {
 
 fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<ShadowSun>> {
     let mut found = vec![None; scene.images.len()];
-    let Ok(ground) = Ground::new(scene, scene.images.iter()) else {
+    let Ok(ground) = GroundViews::new(scene, scene.images.iter()) else {
         return found;
     };
     if ground.images.iter().all(|image| image.sun.position.is_some()) {
@@ -113,17 +113,17 @@ pub(super) fn after(scene: &Scene, searched: &[Option<ShadowSun>]) -> Vec<ImageS
     scene.images.iter().zip(searched).map(one).collect()
 }
 
-/// The same of the images of `ground`.
-pub(super) fn of_ground(scene: &Scene, ground: &Ground, searched: &[Option<ShadowSun>]) -> Vec<ImageSun> {
+/// Suns of the images of `ground`.
+pub(super) fn of_ground(scene: &Scene, ground: &GroundViews, searched: &[Option<ShadowSun>]) -> Vec<ImageSun> {
     let all = after(scene, searched);
     let places = ground.images.iter().filter_map(|image| place_in(scene, image));
     places.map(|place| all[place]).collect()
 }
 
-/// The same with the decisions under them.
+/// Suns of the images of `ground`, and the decisions under them.
 pub(super) fn decided(
     scene: &Scene,
-    ground: &Ground,
+    ground: &GroundViews,
     searched: &[Option<ShadowSun>],
     decisions: &Decisions,
 ) -> (Vec<ImageSun>, Decisions) {

@@ -1,4 +1,4 @@
-//! Cutting a sweep into tiles that fit into memory.
+//! Tiles of a sweep that fit into memory.
 //!
 //! Cores are on the cells of one map grid and do not overlap. A tile is swept beyond its core: over the margin in which
 //! it is blended with its neighbours, and over a rim around that, where heights have fewer neighbours. All tiles are in

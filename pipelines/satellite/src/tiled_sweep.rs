@@ -10,7 +10,7 @@ use super::altitude::ROUNDS;
 use super::clouds;
 use super::config::{Align, SatelliteConfig};
 use super::error::SatelliteError;
-use super::ground::{Ground, volume};
+use super::ground::{GroundViews, volume};
 use super::limits::AtLimits;
 use super::plan::Decisions;
 use super::preprocess::{adjustment_of_ties, clear_rasters, log_lowered, lower, sweep, worth_correcting};
@@ -19,7 +19,7 @@ use heliosplat::timeline::stage;
 use heliosplat_grid::statistics::upper_median;
 use heliosplat_products::blend::Piece;
 use heliosplat_products::dsm::{self, StreamedDsm};
-use heliosplat_products::nadir::{NadirGrid, Place};
+use heliosplat_products::nadir::{GroundExtent, NadirGrid};
 use heliosplat_products::stored::{StoredPiece, blend_rows};
 use heliosplat_radiometry::bridged::Lowered;
 use heliosplat_raster::Geoid;
@@ -43,7 +43,7 @@ const PATCH_CELLS: f64 = 1000.0;
 pub struct TiledSweep<'a> {
     /// Its configuration.
     pub config: &'a SatelliteConfig,
-    /// The same scene with its pixels unread.
+    /// Survey of the scene, without pixels.
     pub survey: &'a Survey<'a>,
     /// Its plan.
     pub plan: &'a SweepPlan,
@@ -154,7 +154,7 @@ impl TiledSweep<'_> {
         let Some(scene) = self.open(&tile.area)? else {
             return Ok(None);
         };
-        let Ok(ground) = Ground::over(&scene, tile.area, scene.training()) else {
+        let Ok(ground) = GroundViews::over(&scene, tile.area, scene.training()) else {
             return Ok(None);
         };
         let request = self.request(&ground, decided.matching);
@@ -162,7 +162,7 @@ impl TiledSweep<'_> {
         let shifts_px: Vec<[f32; 2]> = ground.images.iter().map(|image| shift(&image.name)).collect();
         let part = stage("clouds");
         let (rasters, clouds) = clear_rasters(&ground, &decided.decisions, &shifts_px, &request);
-        clouds::say(&ground, &clouds, &[]);
+        clouds::log_shares(&ground, &clouds, &[]);
         drop(part);
         let part = stage("sweep");
         let mut surface = sweep(&ground, &rasters, &shifts_px, &decided.decisions, &request, &|_| {});
@@ -175,7 +175,7 @@ impl TiledSweep<'_> {
             .tiling
             .grid
             .part((columns[0], rows[0]), (columns[1] - columns[0], rows[1] - rows[0]));
-        let place = Place::from(&scene);
+        let place = GroundExtent::from(&scene);
         let dsm = dsm::of_surface_on(NadirGrid::on(&place, grid)?, &place, &surface);
         let signed = |spans: [[usize; 2]; 2]| spans.map(|span| span.map(|at| at as isize));
         let piece = Piece {
@@ -206,7 +206,7 @@ impl TiledSweep<'_> {
 
     /// The sweep of a tile: viewing directions are those in the middle of the whole, so that all tiles have the same
     /// height hypotheses.
-    fn request(&self, ground: &Ground, matching: MatchingParameters) -> PlaneSweepRequest {
+    fn request(&self, ground: &GroundViews, matching: MatchingParameters) -> PlaneSweepRequest {
         let whole = volume(&self.tiling.whole, ground.up_m, self.plan.cell_m);
         PlaneSweepRequest {
             centre: whole.centre(),
@@ -222,7 +222,7 @@ impl TiledSweep<'_> {
         for area in self.patches() {
             let Some(scene) = self.open(&area)? else { continue };
             let decisions = Decisions::of(&scene, self.config);
-            let ground = match Ground::over(&scene, area, scene.training()) {
+            let ground = match GroundViews::over(&scene, area, scene.training()) {
                 Ok(ground) => ground,
                 Err(error) => {
                     refused = error;

@@ -125,7 +125,7 @@ pub fn train(
     // Evaluate.
     drop(part);
     let part = stage("evaluate");
-    let (start, metrics) = timeline::beside(
+    let (start, metrics) = timeline::concurrently(
         || measure::start_metrics(scene, &request.out, &start, model.file.gsd_m),
         || measure::metrics(scene, &whole, &request.out, Protocol::Raw),
     );
@@ -187,7 +187,7 @@ fn identified(scene: &Scene, out: &Path) -> Result<KeptCut, SceneError> {
     Ok(cut)
 }
 
-/// Everything that determines a training, line by line: equal lines mean the same training, wherever their files are.
+/// Identity of a training, line by line: equal lines mean the same training, wherever the files are.
 fn identity(
     scene: &Scene,
     config: &SatelliteConfig,

@@ -66,7 +66,7 @@ impl Crop {
         out
     }
 
-    /// The same, without a copy where the rectangle is all of it.
+    /// The pixels of the rectangle, without a copy if it is the whole image.
     pub fn shared(&self, raster: &Arc<Raster>) -> Arc<Raster> {
         match *self == Self::whole(raster) {
             true => raster.clone(),
@@ -122,7 +122,7 @@ pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
     lights_in_groups(&lights)
 }
 
-/// The same of times and suns, image by image.
+/// Groups of images of one light, by their times and suns.
 pub fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> Vec<u32> {
     let mut in_time: Vec<(Timestamp, usize)> = lights
         .iter()

@@ -116,7 +116,7 @@ impl KeptCut {
     /// The first of the `images` that were read again whose pixels are not those that were read before, in words.
     ///
     /// # Errors
-    /// The same.
+    /// A description of the first difference.
     pub fn check_pixels(&self, images: &[SceneImage]) -> Result<(), String> {
         for kept in self.images.iter().filter(|kept| kept.pixels_sha256.is_some()) {
             let read = images.iter().find(|image| image.name == kept.name);

@@ -116,7 +116,7 @@ pub struct Scene {
     pub altitude_range_m: (f64, f64),
     /// Source of the altitude range.
     pub altitude_known_from: AltitudeSource,
-    /// The same in words.
+    /// Source of the altitude range, in words.
     pub altitude_source: String,
     /// Ground covered by at least two training images (bounding rectangle at mid altitude).
     pub area: Area,

@@ -133,7 +133,7 @@ fn values_of(image: &IndexImage, sun: &ImageSun, counts_per_unit: f64) -> Values
         kinds: &image.bands.kinds,
         places: &image.bands.file_bands,
     };
-    let light = values::Light {
+    let light = values::Illumination {
         sun: sun.position,
         time: image.acquisition.time,
     };

@@ -116,7 +116,12 @@ impl Values {
     }
 
     /// From metadata, for bands of these kinds and places in their file, under a sun, in a scene of `counts_per_unit`.
-    pub(super) fn of_metadata(found: &FoundRadiometry, bands: &FileBands, light: &Light, counts_per_unit: f64) -> Self {
+    pub(super) fn of_metadata(
+        found: &FoundRadiometry,
+        bands: &FileBands,
+        light: &Illumination,
+        counts_per_unit: f64,
+    ) -> Self {
         let source = Some(found.source.clone());
         let calibration = match &found.radiometry {
             Radiometry::Display => return Self::for_display(source.as_deref()),
@@ -162,12 +167,12 @@ impl Values {
 }
 
 /// The light under which an image was taken.
-pub(super) struct Light {
+pub(super) struct Illumination {
     pub(super) sun: Option<SunPosition>,
     pub(super) time: Option<Timestamp>,
 }
 
-impl Light {
+impl Illumination {
     /// Without a time the mean, at most 1.7 % off.
     fn distance_au(&self) -> f64 {
         self.time.map_or(1.0, earth_sun_distance_au)
@@ -246,7 +251,7 @@ mod tests {
             kinds: &KINDS,
             places: &[2, 1, 0, 3],
         };
-        Values::of_metadata(found, &bands, &Light { sun, time: None }, 1000.0)
+        Values::of_metadata(found, &bands, &Illumination { sun, time: None }, 1000.0)
     }
 
     const NOON: Option<SunPosition> = Some(SunPosition {

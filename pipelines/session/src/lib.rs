@@ -54,7 +54,7 @@ impl Session {
         Self::default()
     }
 
-    /// The same without progress bars, where `is_quiet`.
+    /// The session without progress bars if `is_quiet`.
     pub fn quietly(self, is_quiet: bool) -> Self {
         Self { is_quiet, ..self }
     }
@@ -160,7 +160,7 @@ impl Progress {
     }
 
     /// Shows a short message next to the bar, such as the loss.
-    pub fn say(&self, message: &str) {
+    pub fn message(&self, message: &str) {
         self.bar.set_message(message.to_owned());
     }
 }

@@ -164,7 +164,7 @@ fn padded(values: &[f32], stride: usize) -> [f32; SIDE * REACH] {
     all
 }
 
-/// The same of values that hold all that the windows reach.
+/// Census of eight cells of `values`, which contain all cells in reach of the windows.
 #[inline(always)]
 fn describe_cells(values: &[f32], stride: usize, limits: &[f32; LANES], noise: f32) -> [[u32; LANES]; 2] {
     let lanes = |line: &[f32; REACH], col: usize| -> [f32; LANES] { std::array::from_fn(|l| line[col + l]) };

@@ -59,7 +59,7 @@ const AROUND_M: f32 = 24.0;
 const GROWN_CELLS: usize = 2;
 /// Least difference of the two surfaces in a cell of a segment, metres.
 const LEAST_M: f32 = 1.5;
-/// The same next to a coarse segment, as a share of its difference.
+/// Least difference next to a coarse segment, as a share of the segment's.
 const LEAST_SHARE: f32 = 0.6;
 /// Share of the images that must show a place for change detection.
 const SHOWN: f32 = 0.8;

@@ -30,7 +30,7 @@ pub(super) fn whole(image: &Raster) -> f32 {
     upper_median(&mut differences).unwrap_or(0.0)
 }
 
-/// The same around each pixel: that of tiles, or of their better lit neighbours, interpolated between their centres.
+/// Contrast around each pixel: that of tiles, or of their better lit neighbours, interpolated between their centres.
 /// Tiles with few differences have that of the whole image.
 pub(super) fn local(image: &Raster) -> Vec<f32> {
     let tiles = Tiles::new(image);

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 /// Steps lower than this are no edges, metres: cars and hedges, or noise.
 const LEAST_STEP_M: f32 = 2.0;
-/// The same in height steps of the plane sweep.
+/// Least step, height steps of the plane sweep.
 const LEAST_STEPS: f32 = 3.0;
 /// Places of a profile on each side of the matched edge.
 const PLACES: usize = 16;

@@ -102,7 +102,7 @@ impl LevelView {
         self.sample_of(&self.mean, col, row)
     }
 
-    /// The same of one of the planes.
+    /// Sample of one of the planes.
     #[inline]
     pub(super) fn sample_of(&self, plane: &PixelPlane, col: f32, row: f32) -> f32 {
         heliosplat_grid::bilinear(&plane.pixels, (self.width, self.height), col, row)

@@ -23,7 +23,7 @@ use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 
 /// Views of a piece of ground up to which the parameters for few views are used.
 pub const FEW_VIEWS: f32 = 4.0;
-/// The same from which on those for many views are used.
+/// Mean number of views from which on the parameters for many views are used.
 pub const MANY_VIEWS: f32 = 8.0;
 
 /// Height step of the hypotheses, as the relative shift in cells of the pair of views with the widest base: half a
@@ -39,7 +39,7 @@ const VISIBILITY_ROUNDS: usize = 1;
 const ONE_STEP_PENALTY: u16 = 30;
 /// Cost of a larger change (P2) with few views, in the same units.
 const JUMP_PENALTY_FEW: u16 = 90;
-/// The same with many views, which see roofs and trees well enough to be allowed steeper edges.
+/// Penalty of a jump with many views, which show roofs and trees well enough for steeper edges.
 const JUMP_PENALTY_MANY: u16 = 60;
 /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump there.
 const GUIDE_EDGE: f32 = 30.0;
@@ -49,7 +49,7 @@ const NOISE_FLOOR: f32 = 0.16;
 /// No-match weight with few views, as a share of the weights of all comparisons between the views of a cell: heights
 /// that few of these see must not win by chance.
 const NO_MATCH_FEW: f32 = 0.08;
-/// The same with many views.
+/// Weight of no match with many views.
 const NO_MATCH_MANY: f32 = 0.03;
 /// Weight of a comparison of index planes relative to one of brightness.
 const INDEX_WEIGHT: f32 = 0.5;
@@ -60,7 +60,7 @@ const TOLERANCE_FEW: CandidateTolerance = CandidateTolerance {
     coarser: 80,
 };
 
-/// The same with many views. Finer levels have fewer decisions left: wider tolerances take time and find nothing more.
+/// Tolerance with many views. Finer levels have fewer decisions left: wider tolerances take time and find nothing more.
 const TOLERANCE_MANY: CandidateTolerance = CandidateTolerance {
     full_resolution: 80,
     half_resolution: 120,

@@ -23,11 +23,11 @@ use rayon::prelude::*;
 /// A point counts as hidden when it lies this many height steps below the surface first seen by its view, so that the
 /// surface's own error of matching hides nothing.
 const HIDDEN_STEPS: f32 = 2.0;
-/// The same at least, metres.
+/// Least depth below the surface first seen at which a point is hidden, metres.
 const HIDDEN_M: f32 = 1.0;
 /// Neighbours whose altitudes differ by less than this many cells (or [`SAME_PATCH_STEPS`]) belong to one patch.
 const SAME_PATCH_CELLS: f32 = 2.0;
-/// The same in height steps.
+/// Largest difference of neighbours in one patch, height steps.
 const SAME_PATCH_STEPS: f32 = 2.0;
 /// Smallest patch that is no mismatch, cells: 16 are two metres across at half a metre a cell.
 const SPECKLE_CELLS: usize = 16;

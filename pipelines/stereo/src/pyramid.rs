@@ -71,7 +71,7 @@ pub(super) struct LevelResult {
 }
 
 impl LevelResult {
-    /// The same without the large arrays that only a new choice of heights needs.
+    /// The level without the summed costs, which only a new choice of heights needs.
     pub(super) fn without_sums(self) -> Self {
         Self {
             sums: Vec::new(),

@@ -53,7 +53,7 @@ pub struct SweepView<'a> {
     pub camera: ProjectiveCamera,
     /// Linear values, any number of bands, NaN where missing; their mean is compared.
     pub image: &'a Raster,
-    /// Of the same size, one band: separates surfaces of equal brightness, such as a vegetation index.
+    /// Index of the same size, one band, that separates surfaces of equal brightness, such as a vegetation index.
     /// [`plane_sweep`](super::plane_sweep()) compares it where its parameters include it.
     pub index: Option<&'a Raster>,
     /// Equal for views of one date: same shadows, same season.

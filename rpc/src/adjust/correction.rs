@@ -6,7 +6,7 @@ use crate::rpc::ImagePoint;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BiasModel {
-    /// The same shift all over the image.
+    /// One shift for the whole image.
     #[default]
     Translation,
     /// A shift, and a change of it that is linear along columns and rows: rotation, scale and drift.

@@ -18,7 +18,7 @@ pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
     grouped(text).into_iter().map(|(_, statement)| statement).collect()
 }
 
-/// The same, each with its innermost group, empty outside of all.
+/// Statements, each with its innermost group, which is empty outside of all groups.
 pub(super) fn grouped(text: &str) -> Vec<(&str, Statement<'_>)> {
     let mut statements = Vec::new();
     let mut groups = Vec::new();

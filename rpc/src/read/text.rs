@@ -8,7 +8,7 @@ use std::collections::HashMap;
 
 /// Characters of the numbers of an RPC00B record: ten scalars, and eighty coefficients of twelve.
 const FIXED_WIDTH: usize = 66 + 80 * 12;
-/// The same in a NITF tagged record, which has SUCCESS, ERR_BIAS and ERR_RAND in front.
+/// Width of an RPC00B in a NITF tagged record, which has SUCCESS, ERR_BIAS and ERR_RAND in front.
 const NITF_WIDTH: usize = 15 + FIXED_WIDTH;
 
 /// The camera of a Maxar `.RPB` file; OrbView's `.pvl` names are read as well.

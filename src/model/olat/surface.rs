@@ -1,7 +1,7 @@
 //! Surface shading of one Gaussian under one light, forward and backward: softened Lambert plus shared lobes times
 //! Fresnel.
 //!
-//! [`LightGeometry`] holds the directions and the falloff, [`Surface`] the material, [`Lobes`] the shared specular
+//! [`LightGeometry`] holds the directions and the falloff, [`OlatSurface`] the material, [`Lobes`] the shared specular
 //! basis. The formulas are in the documentation of [`super`].
 
 use crate::camera::ProjectiveCamera;
@@ -154,7 +154,7 @@ impl LightGeometry {
 
 /// A Gaussian's surface.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Surface {
+pub(super) struct OlatSurface {
     pub(super) diffuse: [f32; COLOURS],
     pub(super) frame: [f32; 4],
     pub(super) specular: [f32; COLOURS],
@@ -194,7 +194,7 @@ pub(super) struct SurfaceGradient {
 
 impl SurfaceGradient {
     /// Adds the gradient of the surface's normal.
-    pub(super) fn turn_normal(&mut self, surface: &Surface, d: Vec3) {
+    pub(super) fn turn_normal(&mut self, surface: &OlatSurface, d: Vec3) {
         let mut turned = Mat3::ZERO;
         turned.z_axis = d;
         let added = rotation_backward(surface.frame, turned);
@@ -243,7 +243,7 @@ impl HalfVector {
     }
 }
 
-impl Surface {
+impl OlatSurface {
     /// Light toward the eye from a light of strength one, before shadow and falloff.
     pub(super) fn shade(&self, lobes: Option<&Lobes>, geometry: &LightGeometry) -> Shaded {
         let frame = Mat3::from_quat(normalised(self.frame));
@@ -340,7 +340,7 @@ mod tests {
 
     #[test]
     fn a_gradient_of_the_normal_turns_the_frame() {
-        let surface = |frame| Surface {
+        let surface = |frame| OlatSurface {
             diffuse: [0.0; COLOURS],
             frame,
             specular: [0.0; COLOURS],

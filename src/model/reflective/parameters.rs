@@ -1,6 +1,6 @@
 //! From the stored parameters of a Gaussian to its surface, and from gradients of surfaces back to the parameters.
 
-use super::surface::{Coefficients, EMBEDDING_WIDTH, Surface, SurfaceGradient};
+use super::surface::{Coefficients, EMBEDDING_WIDTH, ReflectiveSurface, SurfaceGradient};
 use super::{ALBEDO, EMBEDDING, ENVIRONMENT, FRAME, LIGHT, MATERIAL, Reflective, WIDTH_MIN};
 use crate::gaussians::{POSITION, sigmoid};
 use crate::model::background::COLOURS;
@@ -9,7 +9,7 @@ use crate::shade::sh;
 
 impl Reflective {
     /// The surface of Gaussian `g`.
-    pub(super) fn surface(&self, parameters: &Parameters, g: usize) -> Surface {
+    pub(super) fn surface(&self, parameters: &Parameters, g: usize) -> ReflectiveSurface {
         let gaussians = &parameters.gaussians;
         let values = |group: usize, width: usize| &gaussians.group(group)[g * width..(g + 1) * width];
         let (material, frame) = (values(MATERIAL, 4), values(FRAME, 4));
@@ -27,7 +27,7 @@ impl Reflective {
                 }
             }
         }
-        Surface {
+        ReflectiveSurface {
             position: gaussians.position(g),
             albedo: std::array::from_fn(|k| sigmoid(values(ALBEDO, COLOURS)[k])),
             metallic: sigmoid(material[0]),
@@ -48,7 +48,7 @@ impl Reflective {
     pub(super) fn add_gradients(
         &self,
         context: &Context,
-        surfaces: &[Surface],
+        surfaces: &[ReflectiveSurface],
         parts: &[SurfaceGradient],
         indices: &[u32],
         grads: &mut Parameters,

@@ -1,16 +1,16 @@
 //! Shading of one Gaussian's surface by environment light, forward and backward.
 //!
 //! Forward, per splat: [`ViewGeometry::new`] (frame, direction to the eye, reflected direction, size of the reflected
-//! lobe), then [`Surface::encode`] (the decoder's inputs), then, after the decoder ran over all splats,
-//! [`Surface::shade`].
+//! lobe), then [`ReflectiveSurface::encode`] (the decoder's inputs), then, after the decoder ran over all splats,
+//! [`ReflectiveSurface::shade`].
 //!
 //! Backward runs in phases, because the decoder stands between shading and its own inputs and is evaluated for all
 //! splats at once:
 //!
-//! 1. [`Surface::shade_backward`]: from the light toward the eye to material, normal and cosine, and to the decoder's
+//! 1. [`ReflectiveSurface::shade_backward`]: from the light toward the eye to material, normal and cosine, and to the decoder's
 //!    *output*.
 //! 2. the decoder's own backward pass (in [`super`]): from its output to its weights and *inputs*.
-//! 3. [`Surface::encode_backward`]: from the decoder's inputs, and from the light of the harmonics which the decoder's
+//! 3. [`ReflectiveSurface::encode_backward`]: from the decoder's inputs, and from the light of the harmonics which the decoder's
 //!    output is added to, to material, reflected direction and lobe.
 //! 4. [`PartialGradient::finish`]: from the view geometry to frame and position.
 //!
@@ -63,7 +63,7 @@ fn degree(function: usize) -> usize {
 
 /// Material, frame and light of a Gaussian.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Surface {
+pub(super) struct ReflectiveSurface {
     pub(super) position: Vec3,
     pub(super) albedo: [f32; COLOURS],
     pub(super) metallic: f32,
@@ -105,7 +105,7 @@ pub(super) struct ViewGeometry {
 
 impl ViewGeometry {
     /// `eye` is where rays meet; with parallel rays, `toward` is where they come from.
-    pub(super) fn new(surface: &Surface, eye: Option<Vec3>, toward: Vec3) -> Self {
+    pub(super) fn new(surface: &ReflectiveSurface, eye: Option<Vec3>, toward: Vec3) -> Self {
         let frame = Mat3::from_quat(normalised(surface.frame));
         let offset = eye.map_or(toward, |eye| eye - surface.position);
         let inverse = 1.0 / offset.length().max(1e-12);
@@ -141,7 +141,7 @@ fn blur_factor(alpha: [f32; 2], degree: usize) -> (f32, f32) {
     ((rate * (alpha[0] * alpha[0] + alpha[1] * alpha[1])).exp(), rate)
 }
 
-impl Surface {
+impl ReflectiveSurface {
     /// Irradiance over π, and the radiance of the blurred reflection, both of the harmonics alone.
     fn harmonic_light(&self, view: &ViewGeometry, functions: usize) -> ([f32; COLOURS], [f32; COLOURS]) {
         let (diffuse_basis, reflected_basis) = (sh::basis(view.normal()), sh::basis(view.reflected));
@@ -356,7 +356,7 @@ impl PartialGradient {
     }
 
     /// Last phase: through the view geometry to frame and position.
-    pub(super) fn finish(mut self, surface: &Surface, view: &ViewGeometry) -> SurfaceGradient {
+    pub(super) fn finish(mut self, surface: &ReflectiveSurface, view: &ViewGeometry) -> SurfaceGradient {
         let (n, eye) = (view.frame.z_axis, view.to_eye);
         let n_dot_eye = view.side * view.cosine;
         let mut d_frame = Mat3::ZERO;

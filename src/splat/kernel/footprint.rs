@@ -40,7 +40,7 @@ pub(super) struct Groups {
     pub(super) at: [u32; GROUPS],
     /// Its offset from the splat's centre, columns.
     pub(super) x: [f32; GROUPS],
-    /// The same of the row.
+    /// Offset of the row from the centre, rows.
     pub(super) y: [f32; GROUPS],
     /// Change of the exponent per column in the row, and its value in the column of the centre.
     pub(super) tilt: [f32; GROUPS],

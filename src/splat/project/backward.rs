@@ -93,7 +93,7 @@ pub(super) struct CoreGradients {
 }
 
 impl CoreGradients {
-    /// That of Gaussian `l`.
+    /// Gradient of Gaussian `l`.
     #[inline(always)]
     pub(super) fn get(&self, l: usize) -> CoreGradient {
         let q = &self.rotation;

@@ -98,8 +98,8 @@ impl Cells {
 
     /// The cells that the box from `low` to `high` touches, by row: see [`Self::run`].
     #[inline(always)]
-    pub(super) fn window(&self, low: Vec2, high: Vec2) -> Window {
-        Window {
+    pub(super) fn window(&self, low: Vec2, high: Vec2) -> CellRange {
+        CellRange {
             columns: self.column(low.x)..self.column(high.x) + 1,
             rows: self.row(low.y)..self.row(high.y) + 1,
         }
@@ -107,14 +107,14 @@ impl Cells {
 
     /// The part of the sorted points in the columns of a window and one of its rows.
     #[inline(always)]
-    pub(super) fn run(&self, window: &Window, row: usize) -> Range<usize> {
+    pub(super) fn run(&self, window: &CellRange, row: usize) -> Range<usize> {
         let first = row * self.columns;
         self.starts[first + window.columns.start] as usize..self.starts[first + window.columns.end] as usize
     }
 }
 
 /// Some neighbouring columns and rows of cells.
-pub(super) struct Window {
+pub(super) struct CellRange {
     columns: Range<usize>,
     pub(super) rows: Range<usize>,
 }

@@ -3,7 +3,7 @@
 use gdal::DriverManager;
 use heliosplat::Raster;
 use heliosplat_objects::pixels;
-use heliosplat_raster::{ImageSpec, RasterFile, Sample, Window, write_geotiff};
+use heliosplat_raster::{ImageSpec, RasterFile, SampleType, Window, write_geotiff};
 use std::path::Path;
 use tempfile::tempdir;
 
@@ -52,7 +52,7 @@ fn bytes_of(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
 pub(super) fn raster_files() -> Vec<Vec<u8>> {
     let raster = Raster::filled(16, 12, 2, 7.0);
     let tiff = bytes_of("a.tif", |path| {
-        write_geotiff(path, &ImageSpec::plain(&raster), Sample::U16).expect("written");
+        write_geotiff(path, &ImageSpec::plain(&raster), SampleType::U16).expect("written");
     });
     let of = |driver: &str| {
         bytes_of("a.img", |path| {

@@ -58,7 +58,7 @@ pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -
     let looks = args.plan || args.dry_run || args.summary;
     let plan = Plan::of(&args.manifest, &args.out, !looks)?;
     if args.plan || args.dry_run {
-        return Ok(told(args, &plan));
+        return Ok(planned(args, &plan));
     }
     if args.summary {
         let rows = summary::of_stamps(&plan, &args.out);
@@ -108,7 +108,7 @@ fn only(args: &BatchArgs, id: &str, session: &Session) -> Result<Outcome, CliErr
 }
 
 /// The plan, or what of it is left to do.
-fn told(args: &BatchArgs, plan: &Plan) -> Outcome {
+fn planned(args: &BatchArgs, plan: &Plan) -> Outcome {
     let mut text = String::new();
     let mut units = Vec::new();
     for unit in &plan.units {

@@ -1,4 +1,4 @@
-//! `heliosplat bench`: what this machine does in a second, on all threads it is given.
+//! `heliosplat bench`: rates of this machine, on all threads.
 
 use crate::outcome::{CliError, Outcome};
 use heliosplat::bench_fixture::{Descent, Lighting, Site, toward_grey};

@@ -1,4 +1,4 @@
-//! `heliosplat completions`: what a shell needs to complete the command line, from the definition of the command line itself.
+//! `heliosplat completions`: completions of a shell, from the definition of the command line.
 
 use crate::outcome::{CliError, Outcome};
 use clap::{Args, Command};

@@ -1,4 +1,4 @@
-//! Arguments of `evaluate`, and how an evaluation is said and drawn.
+//! Arguments of `evaluate`, and the table and pictures of an evaluation.
 
 use crate::names::ProtocolName;
 use crate::outcome::CliError;

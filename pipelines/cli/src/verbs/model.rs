@@ -1,4 +1,4 @@
-//! `train`, `relight`, `render`, `export` and `evaluate` of a run: the way to the pipeline of what they are given.
+//! `train`, `relight`, `render`, `export` and `evaluate`: dispatch to the pipeline of satellite scenes or of objects.
 
 use super::evaluate_args::EvaluateArgs;
 use super::export_args::ExportArgs;

@@ -162,7 +162,7 @@ pub struct RenderArgs {
 }
 
 impl TrainArgs {
-    /// As the trainings take them.
+    /// Request of a training.
     pub(crate) fn request(&self, preset: Preset, begun: Instant) -> TrainRequest {
         TrainRequest {
             out: self.out.clone(),
@@ -197,7 +197,7 @@ pub enum RenderSplit {
 
 impl RenderSplit {
     /// True if the views of a split are rendered.
-    pub(crate) fn holds(self, split: Split) -> bool {
+    pub(crate) fn includes(self, split: Split) -> bool {
         match self {
             Self::Train => split == Split::Train,
             Self::Test => split == Split::Test,

@@ -74,7 +74,7 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
         .file
         .images
         .iter()
-        .filter(|image| args.split.holds(image.split))
+        .filter(|image| args.split.includes(image.split))
         .collect();
     if images.is_empty() {
         let run = args.run.display();

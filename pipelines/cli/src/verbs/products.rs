@@ -1,4 +1,4 @@
-//! `heliosplat products`: what a run gives to a GIS.
+//! `heliosplat products`: files for a GIS.
 
 use crate::args::map_of;
 use crate::names::GeoidName;
@@ -71,7 +71,7 @@ pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
     let mut text = String::new();
     for (run, id) in args.runs.iter().zip(&ids) {
         let folder = if several { out.join(id) } else { out.clone() };
-        let set = one(
+        let set = write_run(
             args,
             run,
             &folder,
@@ -99,7 +99,7 @@ pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
     })
 }
 
-fn one(
+fn write_run(
     args: &ProductsArgs,
     run: &Path,
     folder: &Path,

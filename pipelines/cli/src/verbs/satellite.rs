@@ -16,7 +16,7 @@ use heliosplat_products::dsm::SurfaceFacts;
 use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::Crs;
-use heliosplat_raster::write::{ImageSpec, Sample, write_geotiff};
+use heliosplat_raster::write::{ImageSpec, SampleType, write_geotiff};
 use heliosplat_rpc::sun::sun_position;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::error::SatelliteError;
@@ -231,7 +231,7 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
         .file
         .images
         .iter()
-        .filter(|image| args.split.holds(image.split))
+        .filter(|image| args.split.includes(image.split))
         .collect();
     if images.is_empty() {
         return Err(CliError::Input(format!(
@@ -264,12 +264,12 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
             .values
             .iter_mut()
             .for_each(|v| *v *= model.file.counts_per_unit as f32);
-        write_geotiff(&path, &ImageSpec::plain(&counts), Sample::F32)?;
+        write_geotiff(&path, &ImageSpec::plain(&counts), SampleType::F32)?;
         let mask_path = if image.sun.is_some() && model.file.has_light() {
             let mask_path = args.out.join(format!("{}_shadow.tif", image.name));
             let mut mask = view.visibility;
             mask.values.iter_mut().for_each(|v| *v = 1.0 - *v);
-            write_geotiff(&mask_path, &ImageSpec::plain(&mask), Sample::F32)?;
+            write_geotiff(&mask_path, &ImageSpec::plain(&mask), SampleType::F32)?;
             Some(mask_path)
         } else {
             tracing::warn!("{}: no shadow mask, because its sun is unknown", image.name);

@@ -65,7 +65,7 @@ pub(super) fn sweep(
     Ok(SweptSurface::Whole {
         surface: Box::new(surface),
         gsd_m,
-        memory: told(limit, &plan),
+        memory: memory_of(limit, &plan),
         warnings: scene.warnings,
     })
 }
@@ -74,7 +74,7 @@ fn share_of_memory() -> Option<u64> {
     memory::machine_bytes().map(|bytes| (bytes as f64 * SHARE_OF_MEMORY) as u64)
 }
 
-fn told(limit: Option<u64>, plan: &SweepPlan) -> Value {
+fn memory_of(limit: Option<u64>, plan: &SweepPlan) -> Value {
     json!({"limit_bytes": limit, "planned_bytes": plan.peak_bytes.ceil(), "peak_bytes": peak_rss_bytes()})
 }
 
@@ -126,13 +126,13 @@ fn in_tiles(
                 tracing::info!("searched again from {:.0} to {:.0} m", range_m.0, range_m.1);
                 options.altitude_from_ties_m = Some(range_m);
             }
-            None => return said(args, &survey, tiling, &written, &told(limit, &plan)),
+            None => return outcome_of(args, &survey, tiling, &written, &memory_of(limit, &plan)),
         }
     }
     Err(SceneError::NoPixels(args.run.clone()).into())
 }
 
-fn said(
+fn outcome_of(
     args: &DsmArgs,
     survey: &Survey,
     tiling: &SweepTiling,

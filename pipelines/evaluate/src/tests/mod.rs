@@ -193,8 +193,12 @@ fn a_dfc_truth_is_placed_by_its_text() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let truth_path = folder.path().join("JAX_001_DSM.tif");
     let town = town(120, 120, 0.0, 0.0);
-    heliosplat_raster::write_geotiff(&truth_path, &ImageSpec::plain(&town), heliosplat_raster::Sample::F32)
-        .expect("written");
+    heliosplat_raster::write_geotiff(
+        &truth_path,
+        &ImageSpec::plain(&town),
+        heliosplat_raster::SampleType::F32,
+    )
+    .expect("written");
     std::fs::write(folder.path().join("JAX_001_DSM.txt"), "433000.0\n3358000.0\n120\n0.5\n").expect("written");
     let prediction_path = folder.path().join("p.tif");
     write(

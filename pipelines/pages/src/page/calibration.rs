@@ -1,4 +1,4 @@
-//! The calibration plot of a DSM: the standard deviations it states against the errors it has.
+//! The calibration plot of a DSM: standard deviations against errors.
 
 use super::chart::{Axis, Chart, Line, Scale, range};
 use heliosplat_evaluate::uncertainty::{Group, Uncertainty};

@@ -40,7 +40,7 @@ const PAGE: Theme = Theme {
     series: ["var(--warm)", "var(--cool)", "var(--faint)", "var(--text)"],
 };
 
-/// The same in light mode.
+/// Theme for files: the colours of light mode.
 pub const FILE: Theme = Theme {
     text: "#1b1b1b",
     faint: "#666",
@@ -148,7 +148,7 @@ pub struct Dot<'a> {
     pub filled: bool,
 }
 
-/// All that is drawn on one pair of axes.
+/// A chart on one pair of axes.
 #[derive(Debug)]
 pub struct Chart<'a> {
     /// Width and height, in the chart's own units: a character is about 7 of them wide.
@@ -275,7 +275,7 @@ impl Chart<'_> {
             .lines
             .iter()
             .flat_map(|line| line.points.windows(2).flat_map(between));
-        samples.filter(|p| area.holds(self.place(*p))).count()
+        samples.filter(|p| area.contains_point(self.place(*p))).count()
     }
 
     fn dots(&self, theme: &Theme) -> Markup {
@@ -344,14 +344,14 @@ impl Area {
         Self([x - DOT, x + DOT, y - DOT, y + DOT])
     }
 
-    fn holds(&self, (x, y): (f64, f64)) -> bool {
+    fn contains_point(&self, (x, y): (f64, f64)) -> bool {
         let [left, right, top, bottom] = self.0;
         (left..=right).contains(&x) && (top..=bottom).contains(&y)
     }
 
     fn contains(&self, other: &Self) -> bool {
         let [left, right, top, bottom] = other.0;
-        self.holds((left, top)) && self.holds((right, bottom))
+        self.contains_point((left, top)) && self.contains_point((right, bottom))
     }
 
     fn meets(&self, other: &Self) -> bool {
@@ -377,7 +377,7 @@ pub fn lines(title: &str, across: &str, lines: &[Line]) -> Option<Markup> {
     line_chart(title, across, lines, (0.0, top))
 }
 
-/// The same with an upward axis just around the lines: for values such as decibels, whose zero means nothing.
+/// Lines with a vertical axis that need not start at zero: for values such as decibels, whose zero means nothing.
 pub fn lines_within(title: &str, across: &str, lines: &[Line]) -> Option<Markup> {
     let (low, high) = range(known(lines).map(|p| p.1));
     let room = 0.05 * (high - low).max(1.0);

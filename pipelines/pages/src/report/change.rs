@@ -1,4 +1,4 @@
-//! The section of a report about what was built or torn down between the images.
+//! The section of a report about buildings built or torn down between the images.
 
 use super::Contents;
 use super::parts::figure;

@@ -28,7 +28,7 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     of(folder, &model, &run)
 }
 
-/// The same for a run that is in memory.
+/// The page of a run in memory.
 ///
 /// # Errors
 /// When the page cannot be written.

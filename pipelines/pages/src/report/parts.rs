@@ -85,7 +85,7 @@ pub(super) fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> Ma
     captioned(picture.and_then(|picture| inline_picture(picture, width)), caption)
 }
 
-/// The same of a picture's address.
+/// A picture by its address, with a caption.
 fn captioned(address: Option<String>, caption: &str) -> Markup {
     html! {
         @if let Some(address) = address {

@@ -1,4 +1,4 @@
-//! The section of a report about suns that no image had: figures, and truth and ours side by side.
+//! The section of a report about other suns: figures, and truth beside relit images.
 
 use super::Folder;
 use super::parts::figure;

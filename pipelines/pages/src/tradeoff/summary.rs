@@ -1,4 +1,4 @@
-//! From trainings to the fronts, and to what each change costs and buys.
+//! From trainings to Pareto fronts, and to cost and gain of each change.
 
 use super::Row;
 use super::points::Point;
@@ -12,7 +12,7 @@ pub enum Quality {
     DsmMae,
     /// Peak signal-to-noise ratio of held-out images, dB.
     PsnrHeldOut,
-    /// Of images trained on, dB: where nothing better is known.
+    /// PSNR of training images, dB, if no other accuracy is known.
     PsnrTrain,
 }
 
@@ -65,7 +65,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of values by the name of their scene.
+    /// Statistics of values by the name of their scene.
     fn of(values: &[(&str, f64)]) -> Self {
         let all: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
         let mut scenes: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
@@ -149,7 +149,7 @@ pub struct PointSummary {
     pub against_base: Option<Comparison>,
 }
 
-/// All that follows.
+/// Summary of all trainings.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Summary {
     /// Measure of accuracy.

@@ -1,10 +1,10 @@
-//! The page itself: what is shown as JSON, the controls as HTML, and the scripts, joined into one file that fetches nothing.
+//! The page itself: data as JSON, controls as HTML, and scripts, in one file without network.
 
 use super::ViewError;
 use super::exhibit::{Exhibit, TracedDate};
 use super::layer::{Layer, Ramp};
 use super::pack::{self, GAMMA};
-use super::place::Place;
+use super::place::GridLocation;
 use crate::page::without_control_characters;
 use heliosplat_products::surface_shadow::CASTER;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -90,7 +90,7 @@ fn document(exhibit: &Exhibit, data: &Value) -> String {
     without_control_characters(page.into_string() + "\n")
 }
 
-/// Everything that the scripts know.
+/// Data of the scripts.
 fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
     let altitude = &exhibit.altitude;
     let nothing = || ViewError::Nothing {
@@ -105,7 +105,7 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
         || rayon::join(dates, layers),
     );
     let heights = heights.ok_or_else(nothing)?;
-    let place = Place::of(&exhibit.grid, f64::from(heights.low_m))?;
+    let place = GridLocation::of(&exhibit.grid, f64::from(heights.low_m))?;
     let crs = &exhibit.grid.crs;
     Ok(json!({
         "version": env!("CARGO_PKG_VERSION"),

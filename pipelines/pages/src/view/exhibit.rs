@@ -32,7 +32,7 @@ pub struct Exhibit {
     /// Albedo, one band or red, green and blue, linear; NaN where unknown.
     pub albedo: Option<Raster>,
     /// The light.
-    pub light: Light,
+    pub light: LightTable,
     /// The dates of the images.
     pub dates: Vec<TracedDate>,
     /// Other maps.
@@ -55,7 +55,7 @@ pub struct TracedDate {
 /// Light by the elevation of the sun: a surface has the colour `albedo * (shade + sun * visible)`, with the share `visible` of the sun's disc
 /// that it sees. Between the elevations of the table light is linear, beyond its ends constant.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Light {
+pub struct LightTable {
     /// Elevations of the sun, degrees, rising; at least one.
     pub elevation_deg: Vec<f64>,
     /// Light of the whole sun, per band shown.
@@ -64,7 +64,7 @@ pub struct Light {
     pub shade: Vec<[f32; 3]>,
 }
 
-impl Light {
+impl LightTable {
     /// Skylight of this share of the light of the open sun, the same under every sun: `L = S + (1 - S) sky`, as the model has it.
     pub fn of_sky(sky: [f32; 3]) -> Self {
         Self {
@@ -127,7 +127,7 @@ pub(super) fn coloured(raster: &Raster, bands: [usize; 3]) -> Raster {
 }
 
 impl Exhibit {
-    /// The same with cells averaged until there are at most 1024².
+    /// The exhibit with cells averaged until there are at most 1024².
     #[must_use]
     pub fn reduced(mut self) -> Self {
         let cells = self.grid.width * self.grid.height;

@@ -1,7 +1,7 @@
 //! Content of the page of a surface model in a file, whatever its source.
 
 use super::ViewError;
-use super::exhibit::{Exhibit, Light, coloured, shown};
+use super::exhibit::{Exhibit, LightTable, coloured, shown};
 use heliosplat::Raster;
 use heliosplat_evaluate::resample::Placement;
 use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, dsm_bands};
@@ -55,7 +55,7 @@ pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
         altitude,
         vertical_datum: datum.unwrap_or_default(),
         albedo: None,
-        light: Light::usual(),
+        light: LightTable::usual(),
         dates: Vec::new(),
         layers: Vec::new(),
     })

@@ -1,7 +1,7 @@
 //! Content of the page of a batch's mosaic, from the products in its folder.
 
 use super::ViewError;
-use super::exhibit::{Exhibit, Light, TracedDate};
+use super::exhibit::{Exhibit, LightTable, TracedDate};
 use super::of_files::{albedo_on, on_grid, surface};
 use super::of_run::maps;
 use crate::page::MOSAIC_FILE;
@@ -29,7 +29,7 @@ pub fn of_mosaic(folder: &Path, run: Option<&Path>) -> Result<Exhibit, ViewError
         exhibit.albedo = Some(albedo_on(&albedo, &exhibit.grid)?);
     }
     let first = run.map(Path::to_owned).or_else(|| first_run(folder));
-    exhibit.light = first.and_then(|run| light(&run)).unwrap_or_else(Light::usual);
+    exhibit.light = first.and_then(|run| light(&run)).unwrap_or_else(LightTable::usual);
     exhibit.dates = dates(folder, &exhibit)?;
     exhibit.layers = maps(folder, &exhibit)?;
     Ok(exhibit)
@@ -51,13 +51,13 @@ fn first_run(folder: &Path) -> Option<PathBuf> {
 }
 
 /// The light of a tile's model; `None` where it is gone.
-fn light(run: &Path) -> Option<Light> {
+fn light(run: &Path) -> Option<LightTable> {
     let file = load_file(run).ok()?;
     let (bands, reference) = (file.options.bands, file.options.reference);
     let skies = &file.globals.groups.get(SKY)?.values;
     let sky = skies.get(reference * bands..(reference + 1) * bands)?;
     let sky: Vec<f32> = sky.iter().map(|&x| softplus(x)).collect();
-    Some(Light::of_model(&file, &sky))
+    Some(LightTable::of_model(&file, &sky))
 }
 
 /// The dates whose shadow masks lie in the folder.

@@ -2,12 +2,12 @@
 //! height errors.
 
 use super::ViewError;
-use super::exhibit::{Exhibit, Light, TracedDate, coloured, shown};
+use super::exhibit::{Exhibit, LightTable, TracedDate, coloured, shown};
 use super::layer::{Layer, Ramp};
 use super::of_files::{on_grid, surface};
 use super::ortho_image;
 use crate::page::picture_of;
-use heliosplat::timeline::beside;
+use heliosplat::timeline::concurrently;
 use heliosplat_products::model::{self, LoadedModel};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::relight::{LOWEST_SUN_DEG, Viewpoint};
@@ -32,18 +32,18 @@ const ERROR_M: f32 = heliosplat_evaluate::error_map::FULL_COLOUR_M;
 /// # Errors
 /// When the folder holds no satellite run, or a file of it cannot be read.
 pub fn of_run(folder: &Path) -> Result<Exhibit, ViewError> {
-    let (model, exhibit) = beside(|| model::load(folder), || surface(&folder.join("dsm.tif")));
+    let (model, exhibit) = concurrently(|| model::load(folder), || surface(&folder.join("dsm.tif")));
     let (model, mut exhibit) = (model?, exhibit?);
     exhibit.title = title(folder);
     let sky = model.model.sky(&model.parameters, model.file.options.reference);
-    exhibit.light = Light::of_model(&model.file, &sky);
+    exhibit.light = LightTable::of_model(&model.file, &sky);
     let nadir = NadirGrid::on(&(&model).into(), exhibit.grid.clone())?;
     let layers = || -> Result<Vec<Layer>, ViewError> {
         let mut layers = images(&model, &exhibit)?;
         layers.extend(maps(folder, &exhibit)?);
         Ok(layers)
     };
-    let (layers, (albedo, dates)) = beside(layers, || {
+    let (layers, (albedo, dates)) = concurrently(layers, || {
         let albedo = ortho::albedo(&model, &dsm::maps(&model, &nadir));
         (coloured(&albedo, shown(&model.file.bands)), traced(&model, &nadir))
     });

@@ -1,4 +1,4 @@
-//! Rasters as text that is small: what a page carries, and `page/field.js` reads back.
+//! Rasters as compact text in a page, read by `page/field.js`.
 //!
 //! * Heights: whole steps above the lowest (a centimetre, more where the relief would not fit into 16 bits). Each is predicted from its
 //!   neighbours left, above and above left (the median edge detector of JPEG-LS, ISO 14495-1), what is left is folded to positive

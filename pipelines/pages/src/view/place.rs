@@ -14,7 +14,7 @@ const STEP_M: f64 = 10.0;
 
 /// Place of a grid on the Earth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Place {
+pub(super) struct GridLocation {
     /// Longitude of the middle, degrees.
     pub lon_deg: f64,
     /// Latitude of the middle, degrees.
@@ -30,7 +30,7 @@ pub(super) struct Place {
     pub nodes: Vec<[f64; 2]>,
 }
 
-impl Place {
+impl GridLocation {
     /// The place of a grid, at an ellipsoidal height.
     ///
     /// # Errors
@@ -106,7 +106,7 @@ mod tests {
             (151.2, -33.9, 32756, 153.0),
         ] {
             let crs = Crs::from_epsg(epsg).expect("a zone");
-            let place = Place::of(&grid_at(lon_deg, lat_deg, &crs, 0.5), 0.0).expect("a place");
+            let place = GridLocation::of(&grid_at(lon_deg, lat_deg, &crs, 0.5), 0.0).expect("a place");
             let difference = (lon_deg - central_deg).to_radians();
             let convergence_deg = (difference.tan() * lat_deg.to_radians().sin()).atan().to_degrees();
             assert!(convergence_deg.abs() > 0.3);
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn cells_of_degrees_are_narrower_than_high() {
         let crs = Crs::from_epsg(4326).expect("WGS 84");
-        let place = Place::of(&grid_at(10.0, 60.0, &crs, 1.0), 0.0).expect("a place");
+        let place = GridLocation::of(&grid_at(10.0, 60.0, &crs, 1.0), 0.0).expect("a place");
         let ratio = place.east[0] / -place.north[1];
         assert!(
             (ratio - 2.0).abs() < 0.02,

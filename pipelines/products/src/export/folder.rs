@@ -19,7 +19,7 @@ const UNFINISHED: &str = "unfinished";
 /// made where it is absent.
 ///
 /// # Errors
-/// Those of `fill`, and [`RasterError`] where something else stands in the folder, or it cannot be written.
+/// Errors of `fill`, and [`RasterError`] where something else stands in the folder, or it cannot be written.
 pub(super) fn replace<T, E: From<RasterError>>(
     folder: &Path,
     fill: impl FnOnce(&Path) -> Result<T, E>,

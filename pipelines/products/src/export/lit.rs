@@ -114,7 +114,7 @@ impl Lit {
     /// tile's reference image. Tiles are loaded one after the other.
     ///
     /// # Errors
-    /// Those of [`Lit::new`], and when a tile cannot be read.
+    /// Errors of [`Lit::new`], and when a tile cannot be read.
     pub(super) fn of_tiles(
         tiles: &[MosaicTile],
         (nadir, frame): (&NadirGrid, &LocalFrame),
@@ -149,7 +149,7 @@ impl Lit {
             let splats = splats(&model, &colours, &display)
                 .into_iter()
                 .map(|splat| moved.splat(splat));
-            all.extend(splats.filter(|splat| tile.holds(&nadir.camera, splat.position)));
+            all.extend(splats.filter(|splat| tile.contains(&nadir.camera, splat.position)));
         }
         Ok(Self {
             splats: all,
@@ -160,7 +160,7 @@ impl Lit {
     }
 
     /// Metadata of the splats in files: sun angles, degrees, and display stretch, counts.
-    pub(super) fn said(&self) -> Value {
+    pub(super) fn metadata(&self) -> Value {
         let counts = |value: f32| f64::from(value) * self.counts_per_unit;
         let sun = self.sun.map(|sun| {
             json!({

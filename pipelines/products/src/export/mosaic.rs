@@ -5,7 +5,7 @@
 
 use super::ExportError;
 use super::lit::Lit;
-use super::textured::Ground;
+use super::textured::TexturedGround;
 use super::tile::MosaicTile;
 use crate::dsm::Dsm;
 use crate::model::load_file;
@@ -57,8 +57,8 @@ impl Mosaic {
         Ok(Lit::of_tiles(&self.tiles, (&self.nadir, &self.frame), sun)?)
     }
 
-    pub(super) fn ground(&self) -> Result<Ground, ExportError> {
+    pub(super) fn ground(&self) -> Result<TexturedGround, ExportError> {
         let bands = load_file(&self.tiles[0].run)?.bands;
-        Ok(Ground::new(&self.dsm, &self.albedo, &bands, &self.nadir.enu))
+        Ok(TexturedGround::new(&self.dsm, &self.albedo, &bands, &self.nadir.enu))
     }
 }

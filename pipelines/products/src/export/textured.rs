@@ -29,7 +29,7 @@ const WHITE: f64 = 0.995;
 const PNG: &str = "image/png";
 
 /// A surface on a grid, in the local frame, and its picture.
-pub(super) struct Ground {
+pub(super) struct TexturedGround {
     width: usize,
     height: usize,
     /// Places of the cells' middles, metres; NaN where nothing is known.
@@ -63,7 +63,7 @@ struct Triangles {
     triangles: Vec<[u32; 3]>,
 }
 
-impl Ground {
+impl TexturedGround {
     /// The surface of `dsm`, above the ellipsoid, with an albedo on the same grid.
     pub(super) fn new(dsm: &Dsm, albedo: &Raster, bands: &[BandKind], enu: &EnuGrid) -> Self {
         let (width, height) = (dsm.grid.width, dsm.grid.height);
@@ -87,7 +87,7 @@ impl Ground {
     }
 
     /// Metadata of the surface in files: display stretch of the albedo, and width of a cell, metres.
-    pub(super) fn said(&self) -> Value {
+    pub(super) fn metadata(&self) -> Value {
         json!({"albedo": {"black": 0.0, "white": self.white, "curve": "sRGB"}, "cell_m": self.cell_m})
     }
 
@@ -309,14 +309,14 @@ mod tests {
     use super::*;
 
     /// Level ground with a block three metres high in the middle, and one cell that is not known.
-    fn ground(width: usize, height: usize) -> Ground {
+    fn ground(width: usize, height: usize) -> TexturedGround {
         let place = |i: usize| {
             let (c, r) = (i % width, i / width);
             let block = (2..4).contains(&c) && (2..4).contains(&r);
             let up = if block { 3.0 } else { 0.0 };
             Vec3::new(c as f32, -(r as f32), if i == 0 { f32::NAN } else { up })
         };
-        Ground {
+        TexturedGround {
             width,
             height,
             places: (0..width * height).map(place).collect(),

@@ -1,4 +1,4 @@
-//! A tile of a mosaic: where its run is, and what of it counts.
+//! A tile of a mosaic: its run, and its core.
 
 use glam::Vec3;
 use heliosplat::{ProjectiveCamera, Raster};
@@ -30,7 +30,7 @@ impl MosaicTile {
 
     /// True if a position in the mosaic's frame lies on the core, or beside it by less than [`OVERLAP_CELLS`]. `nadir`
     /// is the camera whose pixels are the mosaic's cells.
-    pub(super) fn holds(&self, nadir: &ProjectiveCamera, position: Vec3) -> bool {
+    pub(super) fn contains(&self, nadir: &ProjectiveCamera, position: Vec3) -> bool {
         let (col, row, _) = nadir.project(position);
         // Cells have their middles at integers.
         let inside = |at: f32, [from, to]: [isize; 2]| {
@@ -65,7 +65,7 @@ mod tests {
         ] {
             let place = Vec3::new(east_m, 0.0, 3.0);
             assert_eq!(
-                (west.holds(&camera, place), east.holds(&camera, place)),
+                (west.contains(&camera, place), east.contains(&camera, place)),
                 held,
                 "{east_m} m"
             );

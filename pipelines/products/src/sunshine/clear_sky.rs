@@ -16,7 +16,7 @@ const SCALE_HEIGHT_M: f64 = 8434.5;
 pub(super) struct Irradiance {
     /// On a surface that faces the sun.
     pub(super) beam_w_m2: f64,
-    /// Of the whole sky on level ground.
+    /// Diffuse irradiance of the whole sky on level ground.
     pub(super) diffuse_w_m2: f64,
 }
 

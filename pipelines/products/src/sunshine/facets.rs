@@ -1,4 +1,4 @@
-//! A surface as a small plane in each cell: what a horizon is seen from, and what light falls on.
+//! A surface as a small plane in each cell, for horizons and irradiance.
 //!
 //! A surface model of half a metre is rough by a decimetre: taken as it is, level ground would face all ways and lie in its own shadow
 //! under a low sun. Each cell gets the plane that fits the cells around it, without those beyond an edge.

@@ -1,4 +1,4 @@
-//! A swept surface as one that is walked over toward the sun.
+//! A swept surface prepared for rays toward the sun.
 
 use heliosplat_grid::relief::{Relief, Toward};
 use heliosplat_stereo::Surface;

@@ -7,7 +7,7 @@ pub(super) const BLOCKS: usize = 8;
 
 /// A cell and how dark it is.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct CellDarkness {
     /// Its index among the sampled cells.
     place: usize,
     block: usize,
@@ -15,7 +15,7 @@ pub(super) struct Sample {
 }
 
 /// The known cells of a date.
-pub(super) fn samples(relief: &Relief, cells: &[usize], darkness: &[f32]) -> Vec<Sample> {
+pub(super) fn samples(relief: &Relief, cells: &[usize], darkness: &[f32]) -> Vec<CellDarkness> {
     let block = |cell: usize| {
         let (col, row) = (cell % relief.width, cell / relief.width);
         row * BLOCKS / relief.height * BLOCKS + col * BLOCKS / relief.width
@@ -26,7 +26,7 @@ pub(super) fn samples(relief: &Relief, cells: &[usize], darkness: &[f32]) -> Vec
         .enumerate()
         .filter(|(_, (_, d))| d.is_finite());
     known
-        .map(|(place, (&cell, &d))| Sample {
+        .map(|(place, (&cell, &d))| CellDarkness {
             place,
             block: block(cell),
             darkness: d.into(),
@@ -79,7 +79,7 @@ impl Moments {
 }
 
 /// All cells, block by block.
-pub(super) fn all_sums(samples: &[Sample]) -> Vec<Moments> {
+pub(super) fn all_sums(samples: &[CellDarkness]) -> Vec<Moments> {
     let mut sums = vec![Moments::default(); BLOCKS * BLOCKS];
     samples
         .iter()
@@ -89,7 +89,7 @@ pub(super) fn all_sums(samples: &[Sample]) -> Vec<Moments> {
 
 /// The cells in shadow for each of the rising `elevations_deg`, block by block, where `horizons` are those of all cells
 /// toward the sun's azimuth.
-pub(super) fn shaded_sums(horizons: &[f32], samples: &[Sample], elevations_deg: &[f64]) -> Vec<Vec<Moments>> {
+pub(super) fn shaded_sums(horizons: &[f32], samples: &[CellDarkness], elevations_deg: &[f64]) -> Vec<Vec<Moments>> {
     let tangents: Vec<f32> = elevations_deg.iter().map(|e| e.to_radians().tan() as f32).collect();
     let mut sums = vec![vec![Moments::default(); BLOCKS * BLOCKS]; elevations_deg.len()];
     for sample in samples {
@@ -110,7 +110,7 @@ pub(super) fn shaded_sums(horizons: &[f32], samples: &[Sample], elevations_deg: 
 }
 
 /// The score of each of the rising `elevations_deg` toward an azimuth.
-pub(super) fn of_azimuth(horizons: &[f32], samples: &[Sample], elevations_deg: &[f64]) -> Vec<f64> {
+pub(super) fn of_azimuth(horizons: &[f32], samples: &[CellDarkness], elevations_deg: &[f64]) -> Vec<f64> {
     let once = vec![1; BLOCKS * BLOCKS];
     let total = Moments::weighted(&all_sums(samples), &once);
     let shaded = shaded_sums(horizons, samples, elevations_deg);

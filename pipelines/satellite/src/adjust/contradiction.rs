@@ -1,4 +1,4 @@
-//! Images whose tie points speak against their cameras.
+//! Images whose tie points contradict their cameras.
 
 use heliosplat_rpc::adjust::{Adjustment, FEWEST_SIGHTINGS};
 use heliosplat_scene::SceneImage;

@@ -4,7 +4,7 @@ use super::camera_error::{CameraError, camera_error};
 use super::vectors::{ImageVectors, image_vectors};
 use super::{AdjustInput, write};
 use crate::error::SatelliteError;
-use crate::ground::Ground;
+use crate::ground::GroundViews;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_raster::write_atomically;
 use heliosplat_rpc::adjust::{Adjustment, BiasModel, Correction, ImageResiduals, PairResiduals};
@@ -30,7 +30,7 @@ pub struct AdjustRequest<'a> {
 /// The adjusted cameras of a scene.
 pub struct AdjustedScene<'a> {
     /// The images.
-    pub ground: Ground<'a>,
+    pub ground: GroundViews<'a>,
     /// Corrections and residuals.
     pub adjustment: Adjustment,
     /// Largest error of fitting each image's corrected camera as an RPC, pixels.

@@ -1,6 +1,6 @@
 //! The residuals of an adjustment, image by image, for a plot.
 
-use crate::ground::Ground;
+use crate::ground::GroundViews;
 use heliosplat_rpc::adjust::{Adjustment, ImageResiduals, ResidualVector};
 
 /// One image's residuals.
@@ -19,7 +19,7 @@ pub struct ImageVectors {
 }
 
 /// The residuals of every image of `ground`, in its order.
-pub(super) fn image_vectors(ground: &Ground, adjustment: &Adjustment) -> Vec<ImageVectors> {
+pub(super) fn image_vectors(ground: &GroundViews, adjustment: &Adjustment) -> Vec<ImageVectors> {
     let images = ground.images.iter().zip(&adjustment.images).enumerate();
     let of_image = |place: usize| {
         let all = adjustment.residuals.iter();

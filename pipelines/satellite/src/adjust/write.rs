@@ -3,7 +3,7 @@
 
 use super::AdjustRequest;
 use crate::error::SatelliteError;
-use crate::ground::Ground;
+use crate::ground::GroundViews;
 use heliosplat_raster::{RasterFile, copy_with_rpc, write_atomically};
 use heliosplat_rpc::Rpc;
 use heliosplat_rpc::adjust::{Adjustment, corrected_rpc};
@@ -17,7 +17,7 @@ const HEIGHT_MARGIN_M: f64 = 100.0;
 /// Writes each image's corrected camera; returns the largest error of fitting it as an RPC, pixels (0 for shifts).
 pub(super) fn cameras(
     scene: &Scene,
-    ground: &Ground,
+    ground: &GroundViews,
     adjustment: &Adjustment,
     request: &AdjustRequest,
 ) -> Result<Vec<f64>, SatelliteError> {

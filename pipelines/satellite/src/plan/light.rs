@@ -10,7 +10,7 @@ const REMEDY: &str = "add acquisition times: .IMD, DIM_*.XML or .json files besi
 /// Lighting of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Light {
+pub enum Lighting {
     /// By the suns that are known; images without one are rendered as lit everywhere, in a colour of their own.
     Known,
     /// By the known suns, and for the other images by suns estimated from shadows on the swept surface; without any sun
@@ -21,10 +21,10 @@ pub enum Light {
 }
 
 impl Facts {
-    pub(super) fn light(&self) -> Light {
+    pub(super) fn light(&self) -> Lighting {
         match self.suns == self.images {
-            true => Light::Known,
-            false => Light::FromShadows,
+            true => Lighting::Known,
+            false => Lighting::FromShadows,
         }
     }
 

@@ -22,7 +22,7 @@ const LIKELIHOOD_PER_DISTANCE: f32 = 5.3;
 const LEAST_MATCHED: f32 = 5.0;
 /// Parameters that a segment adds: an altitude and a day.
 const PARAMETERS: f32 = 2.0;
-/// The same where no shadow separates the states: one parameter more, a place. Without it weak evidence at the rim of
+/// Parameters of a change without shadow evidence: one more, the place. Without it weak evidence at the rim of
 /// the images is nearly accepted (docs/lab/change.md).
 const PARAMETERS_WITHOUT_SHADOWS: f32 = 3.0;
 /// Least `criterion`, half of the difference of two Bayesian information criteria. A difference of 2 and less is "not

@@ -88,7 +88,7 @@ struct InTheSun {
     /// The value of that rank among the other views where the view itself is brighter, NaN where the cell is visible in
     /// too few.
     for_brighter: f32,
-    /// The same where the view itself is one of the darker ones.
+    /// Brightness if the view itself is one of the darker ones.
     for_darker: f32,
 }
 

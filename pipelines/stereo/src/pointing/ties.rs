@@ -42,7 +42,7 @@ const TANGENT_RADIUS: isize = 3;
 const STEEPEST: f32 = 1.0;
 /// Cells whose altitudes differ by less than this many height steps belong to the tangent plane's surface.
 const SAME_SURFACE_STEPS: f32 = 2.0;
-/// The same in cells.
+/// Largest difference of altitudes on the tangent plane's surface, cells.
 const SAME_SURFACE_CELLS: f32 = 1.5;
 /// Added to the diagonal of the tangent plane's normal equations (square metres for the slopes, a count of cells for
 /// the altitude): keeps them solvable where few cells take part.

@@ -11,7 +11,7 @@ use std::path::Path;
 
 /// Tiles and products in `mosaic.json`.
 #[derive(Deserialize)]
-struct Told {
+struct MosaicFile {
     pieces: Vec<Piece>,
     #[serde(default)]
     products: Products,
@@ -37,7 +37,7 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
     let fault = |reason: &str| CliError::Input(format!("{}: {reason}", folder.display()));
     let path = folder.join(MOSAIC_FILE);
     let text = bounded::read_text(&path).map_err(|error| fault(&format!("{MOSAIC_FILE} cannot be read ({error})")))?;
-    let told: Told =
+    let told: MosaicFile =
         serde_json::from_str(&text).map_err(|error| fault(&format!("{MOSAIC_FILE} is damaged ({error})")))?;
     let albedo = folder.join("albedo.tif");
     if !albedo.is_file() {

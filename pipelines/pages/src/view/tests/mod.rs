@@ -51,7 +51,7 @@ fn town(width: usize, height: usize) -> Exhibit {
         altitude,
         vertical_datum: "WGS84 ellipsoid".into(),
         albedo: Some(albedo),
-        light: Light::of_sky([0.2, 0.22, 0.25]),
+        light: LightTable::of_sky([0.2, 0.22, 0.25]),
         dates: Vec::new(),
         layers: Vec::new(),
     }
@@ -122,7 +122,7 @@ fn a_surface_without_any_height_has_no_page() {
 #[test]
 fn the_light_of_a_sky_is_that_of_the_model() {
     // L = S + (1 - S) sky
-    let light = Light::of_sky([0.2, 0.3, 0.4]);
+    let light = LightTable::of_sky([0.2, 0.3, 0.4]);
     for (band, sky) in [0.2f32, 0.3, 0.4].into_iter().enumerate() {
         for visible in [0.0f32, 0.3, 1.0] {
             let of_page = light.shade[0][band] + light.sun[0][band] * visible;

@@ -106,7 +106,7 @@ fn a_sweep_finds_what_a_walk_of_every_cell_finds() {
 fn shone(altitude_m: &Raster, period: &Period) -> Sunshine {
     let half = altitude_m.width as f64 * 0.25;
     let frame = LocalFrame::new(PLACE);
-    let place = crate::nadir::Place {
+    let place = crate::nadir::GroundExtent {
         frame,
         area: Area {
             west_m: -half,

@@ -133,7 +133,7 @@ pub fn tied_altitudes(first: &ReducedView, second: &ReducedView, search: &Epipol
         .par_iter()
         .filter_map(|corner| {
             let at = Vector2::new(corner.col as f64, corner.row as f64);
-            Line::through(first, second, at, search)?.find(first, second)
+            EpipolarLine::through(first, second, at, search)?.find(first, second)
         })
         .collect();
     let metres_per_px = search.gsd_m * first.factor as f64;
@@ -151,7 +151,7 @@ pub fn tied_altitudes(first: &ReducedView, second: &ReducedView, search: &Epipol
 
 /// The epipolar line of a corner, and the frame along it in which both images are resampled: `u` along the line in the
 /// direction of rising altitude, `v` across it, pixels of the first image.
-struct Line {
+struct EpipolarLine {
     corner: Vector2<f64>,
     /// Position of the corner in the second image at the middle of the range.
     middle: Vector2<f64>,
@@ -170,7 +170,7 @@ struct Line {
     offset: f64,
 }
 
-impl Line {
+impl EpipolarLine {
     fn through(
         first: &ReducedView,
         second: &ReducedView,
@@ -282,7 +282,7 @@ struct Scores {
 
 impl Strip {
     /// `sample` takes the offset from the line's middle along and across it, pixels.
-    fn new(line: &Line, sample: impl Fn(Vector2<f64>) -> f32) -> Self {
+    fn new(line: &EpipolarLine, sample: impl Fn(Vector2<f64>) -> f32) -> Self {
         let (columns, rows) = (2 * line.shifts + SIDE, 2 * line.across + SIDE);
         let offset = |index: usize, count: usize| index as f64 - (count / 2) as f64;
         let mut values = Vec::with_capacity(columns * rows);
