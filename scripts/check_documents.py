@@ -183,11 +183,8 @@ def check_phrases(page, text, findings):
 
 
 def check_changelog(page, text, findings):
-    """Lines of the newest section: from the first `## ` to the second."""
-    section = 0
     for number, line in enumerate(text.splitlines(), 1):
-        section += line.startswith("## ")
-        if section == 1 and len(line) > CHANGELOG_LINE:
+        if len(line) > CHANGELOG_LINE:
             findings.add("long line", page, number, f"{len(line)} characters, at most {CHANGELOG_LINE}")
 
 
