@@ -1,12 +1,11 @@
 #!/usr/bin/env python3
-"""Makes the picture at the top of README from a scene and the products of a run:
+"""Makes the picture at the top of README from an image of a scene and the products of a run:
 
-    heliosplat synth satellite --site block --seed 12 --out scene
-    heliosplat train scene --out run
+    heliosplat train JAX_068 --preset preview --out run
     heliosplat products run --sun 250,35
-    scripts/overview.py scene run docs/overview.png
+    scripts/overview.py JAX_068_004_RGB.tif run/products docs/overview.png
 
-Needs numpy, pillow and tifffile. The ground shown is that of the scene's truth.
+Needs numpy, pillow, tifffile and imagecodecs. Shows a square in the middle of the products, and the middle of the image.
 """
 
 import argparse
@@ -37,13 +36,16 @@ def raster(path):
     return values, (tie[3], tie[4], tags["ModelPixelScaleTag"][0])
 
 
-def cut(path, square):
-    """The part of a product that lies on a square of the map."""
-    values, (west, north, cell) = raster(path)
-    left, top, right, bottom = square
-    columns = slice(round((left - west) / cell), round((right - west) / cell))
-    rows = slice(round((north - top) / cell), round((north - bottom) / cell))
-    return values[:, rows, columns]
+def cut(path, side_m):
+    """The part of a product within a square in the middle of the map."""
+    values, (_, _, cell) = raster(path)
+    return middle(values, round(side_m / cell))
+
+
+def middle(values, side):
+    """The middle `side` pixels each way."""
+    top, left = (values.shape[1] - side) // 2, (values.shape[2] - side) // 2
+    return values[:, top : top + side, left : left + side]
 
 
 def display(values, low, high):
@@ -56,36 +58,37 @@ def display(values, low, high):
 
 def stretched(values):
     """The first three bands, half a hundredth clipped at either end."""
-    values = values[:3]
-    return display(values, np.nanpercentile(values, 0.5), np.nanpercentile(values, 99.5))
+    values = np.where(values[:3] > -9000, values[:3], np.nan)
+    return display(np.nan_to_num(values), np.nanpercentile(values, 0.5), np.nanpercentile(values, 99.5))
 
 
-def hillshade(altitude):
-    """Light from the north-west on altitudes of cells of half a metre, all of them known."""
-    down, across = np.gradient(altitude, 0.5)
+def hillshade(altitude, cell_m):
+    """Light from the north-west on altitudes; unknown cells lie at the median."""
+    altitude = np.where(altitude > -9000, altitude, np.median(altitude[altitude > -9000]))
+    down, across = np.gradient(altitude, cell_m)
     light = (1 + across + down) / np.sqrt(3 * (1 + across**2 + down**2))
     return display(light[None], -0.2, 1.0)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("run", type=Path)
+    parser.add_argument("image", type=Path)
+    parser.add_argument("products", type=Path)
     parser.add_argument("out", type=Path)
+    parser.add_argument("--side", type=float, default=170, help="side of the square, metres")
     options = parser.parse_args()
 
-    truth, (west, north, cell) = raster(options.scene / "truth" / "dsm.tif")
-    height, width = truth.shape[1:]
-    square = (west, north, west + width * cell, north - height * cell)
-    photo, _ = raster(sorted(options.scene.glob("*.tif"))[0])
-    top, left = (photo.shape[1] - height) // 2, (photo.shape[2] - width) // 2
-    products = options.run / "products"
+    dsm = options.products / "dsm.tif"
+    dsm = dsm if dsm.is_file() else options.products.parent / "dsm.tif"
+    _, (_, _, cell) = raster(dsm)
+    photo, _ = raster(options.image)
+    product = lambda name: cut(options.products / name, options.side)
     panels = {
-        "input image": stretched(photo[:, top : top + height, left : left + width]),
-        "surface model": hillshade(cut(products / "dsm.tif", square)[0]),
-        "albedo, true ortho": stretched(cut(products / "albedo.tif", square)),
-        "another sun": stretched(cut(products / "relit.tif", square)),
-        "its shadow mask": display(1 - cut(products / "relit_shadow.tif", square), 0, 1),
+        "input image": stretched(middle(photo, round(options.side / cell))),
+        "surface model": hillshade(cut(dsm, options.side)[0], cell),
+        "albedo, true ortho": stretched(product("albedo.tif")),
+        "another sun": stretched(product("relit.tif")),
+        "its shadow mask": display(1 - np.minimum(product("relit_shadow.tif"), 1), 0, 1),
     }
     picture = Image.new("RGB", (len(panels) * (SIDE + MARGIN) - MARGIN, TITLE + SIDE), "white")
     draw = ImageDraw.Draw(picture)
