@@ -23,7 +23,6 @@ ROOT = Path(__file__).resolve().parent.parent
 SKIPPED = {
     r"^bench\b": "a minute by design",
     r"^demo\b": "minutes by design",
-    r"^tradeoff\b(?!.*--list)": "hours by design",
     r"\broot_dir/": "needs published data",
     r"--geoid egm2008": "needs a grid of PROJ that is not always there",
     r"/vsi|s3://|https?://": "needs a network",

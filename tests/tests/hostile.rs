@@ -164,10 +164,14 @@ fn manifest_pipe(home: &Path) -> Vec<OsString> {
 
 fn manifest_folder(home: &Path) -> Vec<OsString> {
     two_views(home);
-    std::fs::create_dir(home.join("points.toml")).expect("made");
-    let mut arguments: Vec<OsString> = ["tradeoff".into(), home.into(), "--out".into(), home.join("out").into()].into();
-    arguments.extend(["--points".into(), home.join("points.toml").into()]);
-    arguments
+    std::fs::create_dir(home.join("city.toml")).expect("made");
+    [
+        "batch".into(),
+        home.join("city.toml").into(),
+        "--out".into(),
+        home.join("out").into(),
+    ]
+    .into()
 }
 
 fn long_file(path: &Path) {

@@ -1,6 +1,6 @@
-//! Limits of time and memory, and their effect: `--time-budget`, `--memory`, `tradeoff`.
+//! Limits of time and memory, and their effect: `--time-budget` and `--memory`.
 
-use heliosplat_tests::program::{fault, heliosplat, json};
+use heliosplat_tests::program::{fault, json};
 use heliosplat_tests::scenes::{View, write_scene};
 use std::path::Path;
 use tempfile::tempdir;
@@ -55,47 +55,4 @@ fn inspect_states_the_steps_and_the_memory_of_each_preset() {
     let (steps, bytes) = (of("steps"), of("peak_bytes"));
     assert!(steps.is_sorted() && steps[0] < steps[4], "{steps:?}");
     assert!(bytes[0] > 1e7 && bytes[0] < bytes[1], "{bytes:?}");
-}
-
-#[test]
-fn a_tradeoff_measures_its_points_once_and_writes_table_and_page() {
-    let home = tempdir().expect("a temporary folder");
-    let scene = home.path().join("scene");
-    std::fs::create_dir(&scene).expect("made");
-    three_views(&scene);
-    let points = home.path().join("points.toml");
-    let point = |name: &str, more: &str| {
-        format!("[[point]]\nname = \"{name}\"\naxis = \"steps\"\npreset = \"fast\"\nwhy = \"a test\"\n{more}\n")
-    };
-    let text = point("none", "set = { \"train.iterations\" = 0 }")
-        + &point(
-            "one",
-            "base = \"none\"\nseeds = \"all\"\nset = { \"train.iterations\" = 1 }",
-        );
-    std::fs::write(&points, text).expect("written");
-    let out = home.path().join("out");
-    let arguments = [
-        "tradeoff".as_ref(),
-        scene.as_os_str(),
-        "--out".as_ref(),
-        out.as_os_str(),
-        "--points".as_ref(),
-        points.as_os_str(),
-        "--seeds".as_ref(),
-        "2".as_ref(),
-    ];
-    let seen = json(&arguments);
-    assert_eq!(seen["trainings"].as_array().map(Vec::len), Some(3));
-    assert_eq!(seen.pointer("/summary/points/1/against_base/pairs"), Some(&1.into()));
-    let table = std::fs::read_to_string(out.join("tradeoff.csv")).expect("a table");
-    assert_eq!(table.lines().count(), 4, "{table}");
-    let page = std::fs::read_to_string(out.join("tradeoff.html")).expect("a page");
-    assert!(page.contains("<svg") && page.contains("none"));
-
-    // A second time nothing is trained: the metrics stay the files they were.
-    let metrics = out.join("runs/scene/one-2/metrics.json");
-    let written = |path: &Path| path.metadata().and_then(|m| m.modified()).expect("there");
-    let before = written(&metrics);
-    heliosplat(&arguments).assert().success();
-    assert_eq!(before, written(&metrics));
 }

@@ -1,7 +1,8 @@
-//! `scripts/compare_peers.py`: installed peers are measured along with heliosplat, missing ones are named.
+//! Scripts that measure: `compare_peers.py` names missing peers and measures the others; `tradeoff.py` trains each point once.
 #![cfg(unix)]
 
 use heliosplat_tests::program::{binary, json};
+use heliosplat_tests::scenes::{View, write_scene};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
@@ -74,4 +75,51 @@ fn an_installed_peer_is_measured_and_a_missing_one_is_named() {
         table.contains("| heliosplat preview |") && table.contains("| s2p |"),
         "{table}"
     );
+}
+
+#[test]
+fn a_tradeoff_trains_its_points_once_and_compares_them_with_their_base() {
+    let home = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| home.path().join(name);
+    std::fs::create_dir(path("scene")).expect("a folder");
+    write_scene(&path("scene"), &[View::new(0), View::new(1), View::new(2)]);
+    let points = "[[point]]\nname = \"none\"\naxis = \"steps\"\npreset = \"fast\"\nwhy = \"a test\"\nset = { \"train.iterations\" = 0 }\n\
+                  [[point]]\nname = \"one\"\naxis = \"steps\"\npreset = \"fast\"\nwhy = \"a test\"\nbase = \"none\"\nseeds = \"all\"\n\
+                  set = { \"train.iterations\" = 1 }\n";
+    std::fs::write(path("points.toml"), points).expect("written");
+    let run = || {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scripts/tradeoff.py");
+        let output = std::process::Command::new("python3")
+            .arg(script)
+            .arg(path("scene"))
+            .arg("--out")
+            .arg(path("out"))
+            .arg("--points")
+            .arg(path("points.toml"))
+            .args(["--seeds", "2", "--heliosplat"])
+            .arg(binary())
+            .output()
+            .expect("python3 runs");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{said}");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let table = run();
+    assert_eq!(table.lines().count(), 4, "{table}");
+    assert!(
+        table.lines().nth(3).is_some_and(|row| row.starts_with("| one")),
+        "{table}"
+    );
+    let rows = std::fs::read_to_string(path("out/tradeoff.csv")).expect("a table");
+    assert_eq!(rows.lines().count(), 4, "{rows}");
+
+    // A second time nothing is trained: the metrics stay the files they were.
+    let written = || {
+        path("out/runs/scene/one-2/metrics.json")
+            .metadata()
+            .and_then(|m| m.modified())
+    };
+    let before = written().expect("there");
+    assert_eq!(run(), table);
+    assert_eq!(written().expect("there"), before);
 }

@@ -129,12 +129,6 @@ pub enum Command {
     /// Compute the position of the sun: azimuth and geometric elevation, degrees
     #[command(after_help = "Example: heliosplat sun --time 2016-04-23T08:34:00Z --place 37.58,36.91,700")]
     Sun(sun::SunArgs),
-    /// Measure errors against time, memory and components of the model
-    #[command(
-        after_help = "Example: heliosplat tradeoff my_images --out tradeoff --only preset,steps\n\n\
-                            All points take hours; --list shows them. The same command continues an interrupted one."
-    )]
-    Tradeoff(tradeoff::TradeoffArgs),
     /// Train many areas in tiles and merge the tiles, as a manifest lists them
     #[command(after_help = "Examples: heliosplat batch city.toml --out city --jobs 2\n          \
                             heliosplat batch city.toml --out city --plan --json\n\n\
@@ -215,7 +209,6 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Rpc(args) => rpc::run(args),
         Command::Sun(args) => sun::run(args),
-        Command::Tradeoff(args) => tradeoff::run(args, cli.threads, &session),
         Command::Batch(args) => batch::run(args, cli.threads, &session),
         Command::Bench => bench::run(),
         Command::Completions(args) => completions::run(args, Cli::command()),

@@ -23,5 +23,4 @@ pub mod sun;
 pub mod sweep_dsm;
 #[cfg(feature = "synth")]
 pub mod synth;
-pub mod tradeoff;
 pub mod view;

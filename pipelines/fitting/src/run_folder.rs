@@ -24,7 +24,7 @@ pub const RUN: &str = "run.toml";
 /// Metrics. A run with this file is finished.
 const METRICS: &str = "metrics.json";
 /// Files of a run besides its model and `run.toml`; a run need not have all of them.
-const OF_A_RUN: [&str; 40] = [
+const OF_A_RUN: [&str; 39] = [
     METRICS,
     "calibration.svg",
     "change.png",
@@ -64,7 +64,6 @@ const OF_A_RUN: [&str; 40] = [
     "start_views.qml",
     "start_views.tif",
     "sun.html",
-    "tradeoff.txt",
 ];
 /// Folders of its pictures.
 const PICTURES: [&str; 2] = ["relit", "views"];

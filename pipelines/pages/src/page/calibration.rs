@@ -35,7 +35,6 @@ pub fn picture(uncertainty: &Uncertainty) -> String {
         up: axis(""),
         reference: Some([(low, low), (high, high)]),
         lines: &[line("RMSE", |g| g.rmse_m), line("median error", |g| g.median_m)],
-        dots: &[],
     };
     chart.file()
 }

@@ -1,4 +1,4 @@
-//! Charts as SVG. Every plot of the program is drawn here: a frame with two axes, lines, labelled dots, a legend.
+//! Charts as SVG. Every plot of the program is drawn here: a frame with two axes, lines, a legend.
 //!
 //! A chart within a page takes its colours from the page's stylesheet; one in a file of its own has fixed colours.
 
@@ -13,9 +13,6 @@ const CHARACTER: f64 = 6.8;
 const FONT_SIZE: f64 = 12.0;
 /// More ticks than this on an axis are too many.
 const MOST_TICKS: usize = 8;
-/// Radius of a dot.
-const DOT: f64 = 5.0;
-
 /// The colours of a chart, as CSS writes them.
 #[derive(Debug)]
 pub struct Theme {
@@ -137,18 +134,7 @@ pub struct Line {
     pub points: Vec<(f64, f64)>,
 }
 
-/// A dot with a label beside it.
-#[derive(Debug, Clone)]
-pub struct Dot<'a> {
-    /// Position, in the units of the two axes.
-    pub at: (f64, f64),
-    /// Label, drawn if there is room, and always shown as a tooltip.
-    pub label: &'a str,
-    /// True if the dot is filled.
-    pub filled: bool,
-}
-
-/// A chart on one pair of axes.
+/// All that is drawn on one pair of axes.
 #[derive(Debug)]
 pub struct Chart<'a> {
     /// Width and height, in the chart's own units: a character is about 7 of them wide.
@@ -165,8 +151,6 @@ pub struct Chart<'a> {
     pub reference: Option<[(f64, f64); 2]>,
     /// The lines.
     pub lines: &'a [Line],
-    /// The dots, over the lines; the first lie on top and get their labels first.
-    pub dots: &'a [Dot<'a>],
 }
 
 impl Chart<'_> {
@@ -221,7 +205,6 @@ impl Chart<'_> {
                     polyline points=(path(&line.points)) fill="none" stroke=(colour) stroke-width="2" {}
                 }
                 (self.legend(theme))
-                (self.dots(theme))
             }
         }
     }
@@ -277,38 +260,6 @@ impl Chart<'_> {
             .flat_map(|line| line.points.windows(2).flat_map(between));
         samples.filter(|p| area.contains_point(self.place(*p))).count()
     }
-
-    fn dots(&self, theme: &Theme) -> Markup {
-        let mut taken: Vec<Area> = self.dots.iter().map(|dot| Area::around(self.place(dot.at))).collect();
-        let frame = Area([0.0, self.size.0, self.top(), self.size.1 - MARGIN[3]]);
-        let placed: Vec<_> = self
-            .dots
-            .iter()
-            .map(|dot| {
-                let width = dot.label.chars().count() as f64 * CHARACTER;
-                let free = |(_, area): &(_, Area)| frame.contains(area) && !taken.iter().any(|other| other.meets(area));
-                // The first of those that no line crosses, or else the first.
-                let places = labels_around(self.place(dot.at), width).into_iter().filter(free);
-                let label = places.min_by_key(|(_, area)| self.lines_within(area) > 0);
-                label.map(|(text, area)| {
-                    taken.push(area);
-                    text
-                })
-            })
-            .collect();
-        let colour = theme.series[0];
-        html! {
-            @for (dot, label) in self.dots.iter().zip(placed).rev() {
-                @let (x, y) = self.place(dot.at);
-                circle cx=(format_args!("{x:.1}")) cy=(format_args!("{y:.1}")) r=(DOT) fill=(if dot.filled { colour } else { theme.paper }) stroke=(colour) {
-                    title { (dot.label) }
-                }
-                @if let Some((anchor, x, y)) = label {
-                    text x=(format_args!("{x:.1}")) y=(format_args!("{y:.1}")) text-anchor=(anchor) { (dot.label) }
-                }
-            }
-        }
-    }
 }
 
 /// Points along a piece of a line.
@@ -321,42 +272,13 @@ fn between(ends: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
     })
 }
 
-/// Candidate places of a dot's label, best first: anchor and position, and the area that the label covers.
-fn labels_around((x, y): (f64, f64), width: f64) -> [((&'static str, f64, f64), Area); 4] {
-    let label = |anchor: &'static str, left: f64, x: f64, baseline: f64| {
-        let area = Area([left, left + width, baseline - 10.0, baseline + 3.0]);
-        ((anchor, x, baseline), area)
-    };
-    let room = DOT + 4.0;
-    [
-        label("start", x + room, x + room, y + 4.0),
-        label("end", x - room - width, x - room, y + 4.0),
-        label("middle", x - 0.5 * width, x, y - room),
-        label("middle", x - 0.5 * width, x, y + room + 10.0),
-    ]
-}
-
 /// Left, right, top, bottom.
 struct Area([f64; 4]);
 
 impl Area {
-    fn around((x, y): (f64, f64)) -> Self {
-        Self([x - DOT, x + DOT, y - DOT, y + DOT])
-    }
-
     fn contains_point(&self, (x, y): (f64, f64)) -> bool {
         let [left, right, top, bottom] = self.0;
         (left..=right).contains(&x) && (top..=bottom).contains(&y)
-    }
-
-    fn contains(&self, other: &Self) -> bool {
-        let [left, right, top, bottom] = other.0;
-        self.contains_point((left, top)) && self.contains_point((right, bottom))
-    }
-
-    fn meets(&self, other: &Self) -> bool {
-        let ([l0, r0, t0, b0], [l1, r1, t1, b1]) = (&self.0, &other.0);
-        l0 < r1 && l1 < r0 && t0 < b1 && t1 < b0
     }
 }
 
@@ -402,7 +324,6 @@ fn line_chart(title: &str, across: &str, lines: &[Line], (bottom, top): (f64, f6
         up: axis("", bottom, top),
         reference: None,
         lines,
-        dots: &[],
     };
     (high > low && top > bottom).then(|| chart.inline())
 }

@@ -111,31 +111,6 @@ fn the_legend_stands_where_no_line_runs() {
 }
 
 #[test]
-fn labels_of_dots_do_not_lie_on_one_another_and_every_dot_says_its_name() {
-    let dot = |x: f64| Dot {
-        at: (x, 0.5),
-        label: "a name <b>",
-        filled: false,
-    };
-    let dots: Vec<Dot> = (0..40).map(|i| dot(0.4 + 0.005 * f64::from(i))).collect();
-    let chart = Chart {
-        size: (900.0, 420.0),
-        title: "",
-        note: "",
-        across: axis(0.0, 1.0, Scale::Linear),
-        up: axis(0.0, 1.0, Scale::Linear),
-        reference: None,
-        lines: &[],
-        dots: &dots,
-    };
-    let drawn = chart.inline().into_string();
-    assert_eq!(drawn.matches("<circle").count(), 40);
-    assert_eq!(drawn.matches("<title>a name &lt;b&gt;</title>").count(), 40);
-    let shown = drawn.matches(">a name &lt;b&gt;</text>").count();
-    assert!((1..10).contains(&shown), "{shown}");
-}
-
-#[test]
 fn a_file_of_its_own_names_its_format_and_needs_no_stylesheet() {
     let chart = Chart {
         size: (100.0, 100.0),
@@ -145,7 +120,6 @@ fn a_file_of_its_own_names_its_format_and_needs_no_stylesheet() {
         up: axis(0.0, 1.0, Scale::Linear),
         reference: Some([(0.0, 0.0), (1.0, 1.0)]),
         lines: &[],
-        dots: &[],
     };
     let file = chart.file();
     assert!(file.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\"") && !file.contains("var("));
