@@ -65,7 +65,6 @@
 //! # Limits
 //! RPC00B with two denominators; no rigorous sensor models, no datums besides WGS 84, no geoid.
 
-mod batch;
 mod localise;
 mod polynomial;
 
