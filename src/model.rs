@@ -184,14 +184,8 @@ pub trait SceneModel: Send + Sync {
         over_background_backward(d_image, self.background(), d_maps);
     }
 
-    /// Losses of the model's own on the maps; adds their gradients. `mask` is per pixel.
-    fn map_losses(
-        &self,
-        _context: &Context,
-        _maps: &Maps,
-        _mask: &[f32],
-        _d_maps: &mut MapGradients,
-    ) -> Vec<NamedLoss> {
+    /// Losses of the model's own on the maps; adds their gradients.
+    fn map_losses(&self, _context: &Context, _maps: &Maps, _d_maps: &mut MapGradients) -> Vec<NamedLoss> {
         Vec::new()
     }
 

@@ -391,7 +391,7 @@ impl<'a> Trainer<'a> {
         let mut d_maps = pass.zero_gradients();
         self.model
             .compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut self.gradients);
-        losses.extend(self.model.map_losses(&context, &pass.maps, &view.weight, &mut d_maps));
+        losses.extend(self.model.map_losses(&context, &pass.maps, &mut d_maps));
         if let Some(prior) = &view.visibility_prior {
             losses.extend(
                 self.model

@@ -1,4 +1,4 @@
-//! Losses on light: visibilities are near 0 or 1, and surfaces visible from the light are lit.
+//! Losses on light: visibilities agree with a prior, and surfaces visible from the light are lit.
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
@@ -8,25 +8,6 @@ use crate::trace::{OccluderGradients, Occluders, transmittance};
 
 /// Visibilities outside `[CLAMP, 1 - CLAMP]` have no gradient.
 const CLAMP: f32 = 0.02;
-
-/// Mean binary entropy (bits) of a visibility map; adds `weight` times its gradient to `d_visibility`.
-///
-/// Pushes shadows to be either there or not (ShadowGS eq. 18, EOGS's opaqueness).
-pub fn opaqueness(visibility: &[f32], mask: &[f32], weight: f32, d_visibility: &mut [f32]) -> f64 {
-    let count = mask.iter().filter(|&&m| m > 0.0).count().max(1) as f32;
-    let mut total = 0.0f64;
-    for ((&s, &m), d) in visibility.iter().zip(mask).zip(d_visibility) {
-        if m <= 0.0 {
-            continue;
-        }
-        let c = s.clamp(CLAMP, 1.0 - CLAMP);
-        total += f64::from(-(c * c.log2() + (1.0 - c) * (1.0 - c).log2()));
-        if s > CLAMP && s < 1.0 - CLAMP {
-            *d += weight / count * ((1.0 - s) / s).log2();
-        }
-    }
-    total / f64::from(count)
-}
 
 /// Mean binary cross entropy (nats) between a visibility map and a prior `lit` from 0 to 1, NaN where there is none.
 /// Adds `weight` times its gradient to `d_visibility`.
@@ -190,26 +171,5 @@ mod tests {
             d[0]
         );
         assert_eq!(prior(&visibility, &lit, &[0.0; 4], 1.0, &mut d), 0.0);
-    }
-
-    #[test]
-    fn entropy_is_least_where_shadows_are_settled_and_points_away_from_doubt() {
-        let mask = [1.0; 4];
-        let mut d = [0.0; 4];
-        let value = opaqueness(&[0.001, 0.3, 0.7, 0.999], &mask, 1.0, &mut d);
-        // Bits: two visibilities of 0.3 and two that are clamped.
-        let bits = |s: f64| -(s * s.log2() + (1.0 - s) * (1.0 - s).log2());
-        let expected = (bits(0.3) + bits(f64::from(CLAMP))) / 2.0;
-        assert!((value - expected).abs() < 1e-6, "{value} for {expected}");
-        let moved = |by: f32| opaqueness(&[0.001, 0.3 + by, 0.7, 0.999], &mask, 1.0, &mut [0.0; 4]);
-        let slope = (moved(1e-3) - moved(-1e-3)) / 2e-3;
-        assert!(
-            (slope - f64::from(d[1])).abs() < 1e-3 * slope.abs(),
-            "{slope} against {}",
-            d[1]
-        );
-        // The gradient raises the loss toward one half: descending moves 0.3 down and 0.7 up.
-        assert!(d[1] > 0.0 && d[2] < 0.0);
-        assert_eq!((d[0], d[3]), (0.0, 0.0));
     }
 }

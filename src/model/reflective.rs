@@ -406,7 +406,7 @@ impl SceneModel for Reflective {
         (self.options.background, self.options.coverage)
     }
 
-    fn map_losses(&self, context: &Context, maps: &Maps, _: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
+    fn map_losses(&self, context: &Context, maps: &Maps, d_maps: &mut MapGradients) -> Vec<NamedLoss> {
         let (weight, edge) = (self.options.normal_weight, self.options.normal_edge);
         depth_normal_loss(context.camera, maps, weight, edge, d_maps)
     }

@@ -31,7 +31,7 @@ pub use air::Air;
 
 use super::{Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::FEATURES;
-use crate::loss::shadow::{opaqueness, prior};
+use crate::loss::shadow::prior;
 use crate::optim::{LearningRate, ParameterGroup};
 use crate::raster::Raster;
 use crate::shade::sh;
@@ -54,8 +54,6 @@ pub struct ShadowGsOptions {
     pub image_colour: bool,
     /// Near-surface light in shadows, per Gaussian.
     pub near_light: bool,
-    /// Weight of the shadow opaqueness loss.
-    pub opaqueness_weight: f32,
     /// Weight of the shadow prior, for views that bring one.
     pub prior_weight: f32,
     /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; 0: the same from everywhere.
@@ -77,7 +75,6 @@ impl Default for ShadowGsOptions {
             reference: 0,
             image_colour: true,
             near_light: false,
-            opaqueness_weight: 0.3,
             prior_weight: 0.0,
             degree: 0,
             days: Vec::new(),
@@ -388,19 +385,6 @@ impl SceneModel for ShadowGs {
             );
             add(&mut grads.globals.group_mut(OFFSET)[image * bands..], &shared.offset);
         }
-    }
-
-    fn map_losses(&self, context: &Context, maps: &Maps, mask: &[f32], d_maps: &mut MapGradients) -> Vec<NamedLoss> {
-        // A view without a light has no shadows.
-        if self.options.opaqueness_weight == 0.0 || context.light.is_none() {
-            return Vec::new();
-        }
-        let channel = self.visibility_channel();
-        let weight = self.options.opaqueness_weight;
-        vec![(
-            "opaqueness",
-            opaqueness(&maps.channels[channel], mask, weight, &mut d_maps.channels[channel]),
-        )]
     }
 
     fn light_prior_loss(&self, maps: &Maps, lit: &[f32], mask: &[f32], d_maps: &mut MapGradients) -> Option<NamedLoss> {

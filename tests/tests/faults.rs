@@ -547,8 +547,8 @@ fn settings_that_mean_nothing_are_named() {
             "train.pyramid_share is 1.5, expected a number from 0 to 1",
         ),
         (
-            "start.step_opacity=1.0",
-            "start.step_opacity is 1, expected a number between 0 and 1",
+            "model.sh_degree=4",
+            "model.sh_degree is 4, expected a whole number from 0 to 3",
         ),
         ("train.position_rate_gsd=nan", "train.position_rate_gsd is NaN"),
     ] {

@@ -36,7 +36,6 @@ fn model(near_light: bool, degree: usize) -> ShadowGs {
         degree,
         bands: BANDS,
         images: 2,
-        opaqueness_weight: 0.0,
         ..ShadowGsOptions::default()
     })
 }

@@ -33,6 +33,23 @@ pub enum ConfigError {
     },
 }
 
+impl ConfigError {
+    /// Refuses the first of some values, with keys and values allowed, that does not fit.
+    ///
+    /// # Errors
+    /// [`Self::Value`].
+    pub fn check(values: &[(&str, f64, bool, &'static str)]) -> Result<(), Self> {
+        match values.iter().find(|(_, _, fits, _)| !fits) {
+            Some(&(key, value, _, expected)) => Err(Self::Value {
+                key: key.into(),
+                value: value.to_string(),
+                expected,
+            }),
+            None => Ok(()),
+        }
+    }
+}
+
 /// Trade-off between time and quality of a training; the preset is a file of settings of that name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {

@@ -99,20 +99,21 @@ impl Default for ModelOptions {
 impl ModelOptions {
     /// Refuses networks of size zero and of absurd sizes.
     fn checked(&self) -> Result<(), ConfigError> {
-        let limits = [
-            ("model.network_width", self.network_width, 256, "1 to 256"),
-            ("model.network_layers", self.network_layers, 8, "1 to 8"),
-        ];
-        for (key, value, most, expected) in limits {
-            if !(1..=most).contains(&value) {
-                return Err(ConfigError::Value {
-                    key: key.into(),
-                    value: value.to_string(),
-                    expected,
-                });
-            }
-        }
-        Ok(())
+        let (width, layers) = (self.network_width, self.network_layers);
+        ConfigError::check(&[
+            (
+                "model.network_width",
+                width as f64,
+                (1..=256).contains(&width),
+                "1 to 256",
+            ),
+            (
+                "model.network_layers",
+                layers as f64,
+                (1..=8).contains(&layers),
+                "1 to 8",
+            ),
+        ])
     }
 }
 

@@ -18,17 +18,11 @@ pub struct StartOptions {
     /// Width of a cell, ground sampling distances: one Gaussian per cell. 2 where memory or time is limited, 1.5 in the
     /// ablation.
     pub cell_gsd: f64,
-    /// Opacity of Gaussians near a step, above ground that is laid under them: training decides which of the two is
-    /// real. 0.98 in the ablation, which leaves no choice.
-    pub step_opacity: f32,
 }
 
 impl Default for StartOptions {
     fn default() -> Self {
-        Self {
-            cell_gsd: 1.0,
-            step_opacity: 0.35,
-        }
+        Self { cell_gsd: 1.0 }
     }
 }
 
@@ -70,7 +64,7 @@ impl Default for CameraOptions {
 }
 
 /// The satellite model's components. The plan decides those that are not set.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelOptions {
     /// Per-image affine colour: on for images of more than one date, off for those of one.
@@ -89,30 +83,11 @@ pub struct ModelOptions {
     /// Largest degree of the spherical harmonics of albedo (and near-surface light) in the viewing direction: 0,
     /// isotropic, for matt ground, up to 3 for glossy ground.
     pub sh_degree: usize,
-    /// Weight of the shadow opaqueness loss; 0, off, is better on every site measured (docs/lab/components.md). It is
-    /// on in the paper and in the ablation.
-    pub opaqueness_weight: f32,
     /// Guidance of training by shadows detected as dark places: on with fewer than eight images, off with more.
     pub shadow_prior: Option<bool>,
     /// Folder of the user's masks of light (1) and shadow (0), `NAME.tif` for the image `NAME`, in place of the
     /// detected ones.
     pub shadow_masks: Option<PathBuf>,
-}
-
-impl Default for ModelOptions {
-    fn default() -> Self {
-        Self {
-            image_colour: None,
-            clouds: None,
-            change: None,
-            saturation: None,
-            near_light: false,
-            sh_degree: 0,
-            opaqueness_weight: 0.0,
-            shadow_prior: None,
-            shadow_masks: None,
-        }
-    }
 }
 
 /// Configuration of a satellite run.
@@ -163,44 +138,17 @@ impl SatelliteConfig {
             let key = format!("train.{option}");
             return Err(ConfigError::Value { key, value, expected });
         }
-        let (s, m) = (&self.start, &self.model);
-        let opacity = f64::from(s.step_opacity);
-        let weight = f64::from(m.opaqueness_weight);
-        for (key, value, fits, expected) in [
-            (
-                "start.cell_gsd",
-                s.cell_gsd,
-                CELL_GSD.contains(&s.cell_gsd),
-                "a number from 0.25 to 100",
-            ),
-            (
-                "start.step_opacity",
-                opacity,
-                opacity > 0.0 && opacity < 1.0,
-                "a number between 0 and 1, neither of them",
-            ),
+        let (cell_gsd, degree) = (self.start.cell_gsd, self.model.sh_degree);
+        let in_range = CELL_GSD.contains(&cell_gsd);
+        ConfigError::check(&[
+            ("start.cell_gsd", cell_gsd, in_range, "a number from 0.25 to 100"),
             (
                 "model.sh_degree",
-                m.sh_degree as f64,
-                m.sh_degree <= MAX_DEGREE,
+                degree as f64,
+                degree <= MAX_DEGREE,
                 "a whole number from 0 to 3",
             ),
-            (
-                "model.opaqueness_weight",
-                weight,
-                weight >= 0.0 && weight.is_finite(),
-                "a finite number that is not negative",
-            ),
-        ] {
-            if !fits {
-                return Err(ConfigError::Value {
-                    key: key.into(),
-                    value: value.to_string(),
-                    expected,
-                });
-            }
-        }
-        Ok(())
+        ])
     }
 }
 
@@ -234,8 +182,6 @@ mod tests {
         for (key, value) in [
             ("start.cell_gsd", "1e-3"),
             ("start.cell_gsd", "1e300"),
-            ("start.step_opacity", "1.0"),
-            ("model.opaqueness_weight", "-0.1"),
             ("model.sh_degree", "4"),
             ("train.pyramid_share", "1.5"),
             ("train.position_rate_gsd", "nan"),

@@ -122,14 +122,16 @@ fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
     Quat::from_rotation_arc(Vec3::Z, Vec3::new(-east, -north, 1.0).normalize())
 }
 
+/// Opacity of Gaussians near a step, above ground that is laid under them: training decides which of the two is real
+/// (docs/lab/start.md).
+const STEP_OPACITY: f32 = 0.35;
+
 /// Input of the initial Gaussians.
 pub(super) struct Start<'a> {
     /// The initial surface.
     pub(super) surface: &'a Surface,
     /// The cells that get discs.
     pub(super) covered: &'a [bool],
-    /// Opacity of Gaussians near a step.
-    pub(super) step_opacity: f32,
 }
 
 impl Start<'_> {
@@ -155,11 +157,7 @@ impl Start<'_> {
 
     /// The discs of the covered cells, with their walls and floors.
     fn on_surface(&self, discs: &mut Discs) {
-        let &Self {
-            surface,
-            covered,
-            step_opacity,
-        } = self;
+        let &Self { surface, covered } = self;
         let wall_from_m = WALL_FROM_M.max(WALL_FROM_STEPS * surface.resolution_m);
         let floors = (surface.lowest(FLOOR_CELLS.0), surface.lowest(FLOOR_CELLS.1));
         for cell in (0..covered.len()).filter(|&cell| covered[cell]) {
@@ -170,8 +168,8 @@ impl Start<'_> {
             let above_floor = here.z - floor_m > wall_from_m;
             let opacity = match (above_floor, doubtful) {
                 (false, _) => OPACITY_SURE,
-                (true, false) => step_opacity,
-                (true, true) => DOUBTFUL_SHARE * step_opacity,
+                (true, false) => STEP_OPACITY,
+                (true, true) => DOUBTFUL_SHARE * STEP_OPACITY,
             };
             let top = Disc {
                 centre: here,
@@ -186,7 +184,7 @@ impl Start<'_> {
                 discs.add(&Disc {
                     centre: Vec3::new(here.x, here.y, above_m),
                     rotation: Quat::IDENTITY,
-                    opacity: DOUBTFUL_SHARE * step_opacity,
+                    opacity: DOUBTFUL_SHARE * STEP_OPACITY,
                     ..top
                 });
             }
@@ -225,7 +223,6 @@ pub(super) fn changing(start: &Start, changes: &Changes, groups: &[GroupSpec]) -
         let of = Start {
             surface,
             covered: &covered,
-            step_opacity: start.step_opacity,
         };
         let mut table = of.gaussians(groups.to_vec());
         if let Some(group) = table.groups.iter_mut().find(|group| group.spec.name == DAYS) {
@@ -306,11 +303,7 @@ mod tests {
     }
 
     fn gaussians_on(surface: &Surface, covered: &[bool]) -> Table {
-        let start = Start {
-            surface,
-            covered,
-            step_opacity: 0.35,
-        };
+        let start = Start { surface, covered };
         start.gaussians(vec![])
     }
 

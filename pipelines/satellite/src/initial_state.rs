@@ -13,7 +13,7 @@ use heliosplat::model::{Parameters, SceneModel, View};
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::run_folder::peak_rss_bytes;
 use heliosplat_products::change::day_of;
-use heliosplat_radiometry::shadow_prior::{self, MaskError};
+use heliosplat_radiometry::shadow_prior;
 use heliosplat_scene::{ImageSun, Scene, crop};
 use heliosplat_stereo::Surface;
 
@@ -52,7 +52,6 @@ impl InitialState {
         let start = initial::Start {
             surface,
             covered: &covered,
-            step_opacity: config.start.step_opacity,
         };
         let parameters = Parameters {
             gaussians: match changing {
@@ -117,7 +116,6 @@ fn model(ground: &GroundViews, suns: &[ImageSun], decisions: &Decisions, changin
         images,
         reference: reference(suns),
         image_colour: decisions.image_colour,
-        opaqueness_weight: decisions.opaqueness_weight,
         prior_weight: if decisions.shadow_prior { PRIOR_WEIGHT } else { 0.0 },
         near_light: decisions.near_light,
         degree: decisions.sh_degree,
@@ -133,13 +131,14 @@ fn give_priors(
     ground: &GroundViews,
     surface: &Surface,
     config: &SatelliteConfig,
-) -> Result<(), MaskError> {
+) -> Result<(), SatelliteError> {
     let priors = match &config.model.shadow_masks {
         Some(folder) => {
             let images = ground.images.iter().zip(&ground.crops);
             images
                 .map(|(image, crop)| shadow_prior::from_folder(folder, image, crop))
-                .collect::<Result<Vec<_>, _>>()?
+                .collect::<Result<Vec<_>, _>>()
+                .map_err(SatelliteError::Input)?
         }
         None => {
             let (rasters, cameras): (Vec<_>, Vec<_>) = views.iter().map(|view| (&*view.image, view.camera)).unzip();

@@ -45,8 +45,6 @@ pub struct Decisions {
     pub near_light: bool,
     /// Largest degree of the spherical harmonics of albedo.
     pub sh_degree: usize,
-    /// Weight of the shadow opaqueness loss.
-    pub opaqueness_weight: f32,
     /// Parameters of the plane sweep; `None` where no two images show the common ground.
     pub matching: Option<MatchingParameters>,
     /// The decisions in words, with reasons.
@@ -145,7 +143,6 @@ impl Decisions {
             only_known_suns: false,
             near_light: model.near_light,
             sh_degree: model.sh_degree,
-            opaqueness_weight: model.opaqueness_weight,
             matching: facts.matching.as_ref().ok().map(MatchingParameters::choose),
             items: Vec::new(),
         };
@@ -190,7 +187,6 @@ impl Decisions {
         if !lit {
             set(SHADOW_PRIOR, false, "no sun is known: shadows cannot be traced".into());
             decisions.shadow_prior = false;
-            decisions.opaqueness_weight = 0.0;
         }
         decisions
     }
@@ -439,12 +435,11 @@ mod tests {
     fn where_no_sun_is_found_the_light_is_left_out_whatever_is_set() {
         let mut config = SatelliteConfig::default();
         config.model.shadow_prior = Some(true);
-        config.model.opaqueness_weight = 1.0;
         let dark = Facts { suns: 0, ..facts(3, 3) };
         let before = Decisions::from_facts(&dark, &config);
         assert_eq!(before.light, Lighting::FromShadows);
         let after = before.after_search(&[ImageSun::unknown(); 3], &[None, Some(shadow_sun(1.3)), None]);
-        assert_eq!((after.light, after.opaqueness_weight), (Lighting::LeftOut, 0.0));
+        assert_eq!(after.light, Lighting::LeftOut);
         assert!(!after.shadow_prior && after.image_colour);
         let off = |component| after.items.iter().any(|item| item.component == component && !item.on);
         assert!(off(SUN) && off(SHADOW_PRIOR));

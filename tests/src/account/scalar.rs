@@ -3,7 +3,6 @@
 use super::{Errors, Row, Worst, ratio_over, relative, steps};
 use heliosplat::fast;
 use heliosplat::gaussians::{GroupSpec, Table, normalised, sigmoid};
-use heliosplat::loss::shadow::opaqueness;
 use heliosplat::model::shadow_gs::{softplus, softplus_inverse};
 use heliosplat::optim::{Adam, exponential_decay};
 use heliosplat::splat::kernel::exp2;
@@ -16,7 +15,6 @@ pub(super) fn rows(timed: bool) -> Vec<Row> {
         exp_row(timed),
         ln_row(timed),
         exp2_row(timed),
-        opaqueness_row(),
         decay_row(),
         quaternion_row(),
         adam_row(),
@@ -164,50 +162,6 @@ fn exp2_row(timed: bool) -> Row {
             gradient: None,
         },
         cost: ratio_over(timed, -8.0, 0.0, exp2, f32::exp2),
-    }
-}
-
-fn opaqueness_row() -> Row {
-    const CLAMP: f64 = 0.02;
-    let (mut robust, mut naive) = (
-        (Worst::default(), Worst::default()),
-        (Worst::default(), Worst::default()),
-    );
-    for s in steps(0.0, 1.0, 10_001) {
-        let s = s as f32;
-        let mut d = [0.0];
-        let value = opaqueness(&[s], &[1.0], 1.0, &mut d);
-        let wide = f64::from(s);
-        let c = wide.clamp(f64::from(0.02f32), 1.0 - f64::from(0.02f32));
-        let exact = -(c * c.log2() + (1.0 - c) * (1.0 - c).log2());
-        let inside = wide > CLAMP + 1e-6 && wide < 1.0 - CLAMP - 1e-6;
-        let slope = if inside { ((1.0 - wide) / wide).log2() } else { 0.0 };
-        let at = || format!("S = {s:.4}");
-        robust.0.see(relative(value, exact, 1.0), at);
-        if (wide - CLAMP).abs() > 1e-6 && (wide - 1.0 + CLAMP).abs() > 1e-6 {
-            robust.1.see(relative(d[0].into(), slope, 1.0), at);
-        }
-        let part = |p: f64| if p > 0.0 { -p * p.log2() } else { 0.0 };
-        let plain = f64::from(-(s * s.log2() + (1.0 - s) * (1.0 - s).log2()));
-        naive.0.see(relative(plain, part(wide) + part(1.0 - wide), 1.0), at);
-        naive.1.see(
-            relative(f64::from(((1.0 - s) / s).log2()), ((1.0 - wide) / wide).log2(), 1.0),
-            at,
-        );
-    }
-    Row {
-        formula: "binary entropy of a shadow, constant outside [0.02, 0.98]",
-        domain: "S from 0 to 1, absolute",
-        robust: Errors {
-            value: robust.0,
-            gradient: Some(robust.1),
-        },
-        limit: (1e-6, 2e-6),
-        naive: Errors {
-            value: naive.0,
-            gradient: Some(naive.1),
-        },
-        cost: None,
     }
 }
 

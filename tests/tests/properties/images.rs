@@ -3,7 +3,6 @@
 use crate::config;
 use heliosplat::loss::geometry::depth_normal;
 use heliosplat::loss::photometric::photometric;
-use heliosplat::loss::shadow::opaqueness;
 use heliosplat::splat::{MapGradients, Maps};
 use heliosplat::{ProjectiveCamera, Raster};
 use proptest::collection::vec;
@@ -79,7 +78,7 @@ proptest! {
     #[test]
     fn losses_on_maps_are_finite(
         (width, height) in (1..12usize, 1..12usize),
-        values in vec((0.0f32..=1.0, -5000.0f32..5000.0, -1.0f32..1.0, prop_oneof![Just(0.0f32), Just(1.0), 0.0f32..1.0]), 144),
+        values in vec((0.0f32..=1.0, -5000.0f32..5000.0, -1.0f32..1.0), 144),
         gsd in prop_oneof![Just(1e-3f32), Just(0.3), Just(30.0)], hidden in any::<bool>(),
     ) {
         let pixels = width * height;
@@ -95,13 +94,9 @@ proptest! {
         };
         let camera = ProjectiveCamera::nadir(0.0, 0.0, f64::from(gsd), (width, height));
         let mut grads = MapGradients::zeros(3, pixels);
-        let mask = vec![1.0; pixels];
-        let visibility: Vec<f32> = values[..pixels].iter().map(|v| v.3).collect();
         let normal = depth_normal(&camera, &maps, 0, 3.0 * gsd, 1.0, &mut grads);
-        let entropy = opaqueness(&visibility, &mask, 1.0, &mut grads.channels[0]);
         // Normals that are drawn are up to sqrt(3) long.
         prop_assert!((-0.8..=2.8).contains(&normal), "{normal}");
-        prop_assert!((0.0..=1.0001).contains(&entropy), "{entropy}");
         let all = [&grads.alpha, &grads.depth].into_iter().chain(&grads.channels);
         for plane in all {
             prop_assert!(plane.iter().all(|g| g.is_finite()), "{plane:?}");

@@ -255,8 +255,7 @@ fn objects(
         ..image
     };
     model.compose_backward(&context, &pass.maps, &d_image, &mut d_maps, &mut gradients);
-    let weight = vec![1.0; pass.maps.alpha.len()];
-    for (name, value) in model.map_losses(&context, &pass.maps, &weight, &mut d_maps) {
+    for (name, value) in model.map_losses(&context, &pass.maps, &mut d_maps) {
         prop_assert!(value.is_finite(), "{name} {value}");
     }
     pass.backward(d_maps, &mut gradients);
