@@ -44,13 +44,8 @@ pub(crate) fn write_multispectral(
     let names = request.bands.names();
     let (width, height) = (fine.width.div_ceil(RATIO), fine.height.div_ceil(RATIO));
     let counts = coarse_counts(&fine.counts, (fine.width, fine.height), names.len());
-    let bytes: Vec<u8>;
-    let samples = if request.bits == 8 {
-        bytes = counts.iter().map(|&count| count.min(255) as u8).collect();
-        Samples::U8(&bytes)
-    } else {
-        Samples::U16(&counts)
-    };
+    let mut bytes = Vec::new();
+    let samples = Samples::of_counts(&counts, request.bits, &mut bytes);
     let raster = Raster {
         width,
         height,

@@ -23,11 +23,13 @@ pub(crate) struct KnownCamera {
 /// as VisSat writes it; in order of time.
 ///
 /// # Errors
-/// [`SynthError::Cameras`], naming the file and the image at fault.
+/// [`SynthError::BadRequest`], naming the file and the image at fault.
 pub(crate) fn read(path: &Path) -> Result<Vec<KnownCamera>, SynthError> {
-    let fault = |reason: String| SynthError::Cameras {
-        path: path.to_owned(),
-        reason,
+    let fault = |reason: String| {
+        let path = path.display();
+        SynthError::BadRequest(format!(
+            "{path}: {reason}; expected a JSON object of images, each with rpc, width, height and capTime"
+        ))
     };
     let size = std::fs::metadata(path).map_err(|error| fault(error.to_string()))?.len();
     if size > MOST_BYTES {

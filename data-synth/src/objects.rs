@@ -120,7 +120,7 @@ impl Pixel {
 /// gives the same bytes, for any number of threads.
 ///
 /// # Errors
-/// [`SynthError::BadRequest`] for a request that cannot be met, [`SynthError::Write`] or [`SynthError::Image`] when a
+/// [`SynthError::BadRequest`] for a request that cannot be met, [`SynthError::Failed`] when a
 /// file cannot be written; `out_dir` then holds nothing new.
 pub fn write_object(
     request: &ObjectRequest,
@@ -245,7 +245,9 @@ fn display(linear: f64) -> u8 {
 
 fn save(staging: &Staging, relative: &str, picture: DynamicImage) -> Result<(), SynthError> {
     let path = staging.path(relative)?;
-    picture.save(&path).map_err(|source| SynthError::Image { path, source })
+    picture
+        .save(&path)
+        .map_err(|source| SynthError::unwritable(&path, source))
 }
 
 /// Captures under one light are linear, EXR; others are for a display, PNG.

@@ -136,10 +136,7 @@ impl Collection {
             if dates.last().is_none_or(|date| day(date.time) != day(camera.time)) {
                 dates.push(weather_of(&mut random, camera.time, origin.lat_deg));
             }
-            let geometry = geometry_of(&camera.rpc, &frame).map_err(|source| SynthError::Camera {
-                image: format!("camera {index}"),
-                source,
-            })?;
+            let geometry = geometry_of(&camera.rpc, &frame).map_err(SynthError::camera(&format!("camera {index}")))?;
             views.push(ViewPlan {
                 name: String::new(),
                 date: dates.len() - 1,

@@ -89,6 +89,16 @@ pub(crate) struct LitScene<'a> {
     pub(crate) ground: &'a crate::city::GroundCover,
 }
 
+impl<'a> LitScene<'a> {
+    pub(crate) fn of(tracer: &'a Tracer<'a>, surfaces: &'a [Surface], ground: &'a crate::city::Ground) -> Self {
+        Self {
+            tracer,
+            surfaces,
+            ground,
+        }
+    }
+}
+
 /// Result of one ray of the sensor.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SensorSample {

@@ -21,7 +21,7 @@ use crate::sensor::{PushBroom, Sensor};
 use crate::solid::Solids;
 use crate::summary::{ImageSummary, Summary};
 use crate::truth::{Truth, altitudes, survey};
-use crate::truth_files::{SHADOW_MEANS, write_change, write_relit, write_truth};
+use crate::truth_files::{SHADOW_MEANS, TruthFolder};
 use crate::truth_grid::TruthGrid;
 use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
@@ -58,7 +58,7 @@ struct ImageCamera {
 /// for any number of threads.
 ///
 /// # Errors
-/// [`SynthError::BadRequest`] for a request that cannot be met, [`SynthError::Write`] or [`SynthError::Tiff`] when a
+/// [`SynthError::BadRequest`] for a request that cannot be met, [`SynthError::Failed`] when a
 /// file cannot be written; `out_dir` then holds nothing new.
 pub fn write_satellite(
     request: &SatelliteRequest,
@@ -79,15 +79,14 @@ pub fn write_satellite(
     }
     let last = collection.dates.len().saturating_sub(1);
     let truth = survey_city(request, &city, &frame, &grid, last);
-    write_truth(&staging, request, &grid, &truth)?;
+    let folder = TruthFolder {
+        staging: &staging,
+        grid: &grid,
+    };
+    folder.write(request, &truth)?;
     if request.change > 0.0 {
         let before = survey_city(request, &city, &frame, &grid, 0);
-        write_change(
-            &staging,
-            &grid,
-            [&before, &truth],
-            &changed_at(&city, &collection, &frame, &grid),
-        )?;
+        folder.write_change([&before, &truth], &changed_at(&city, &collection, &frame, &grid))?;
     }
     let altitudes_m = loose_altitudes_m(truth.altitude_range_m(), request.seed);
     let total = cameras.iter().map(|camera| camera.crop.height).sum::<usize>() + request.relight * grid.size;
@@ -98,11 +97,7 @@ pub fn write_satellite(
         let haze = request.has(Fault::Haze).then(|| Haze::of_date(request.seed, date));
         let solids = fitted(request, city.solids_with_cars(date, plan.car_occupancy));
         let tracer = Tracer::new(&city.terrain, solids.primitives);
-        let scene = LitScene {
-            tracer: &tracer,
-            surfaces: &solids.surfaces,
-            ground: &city.ground,
-        };
+        let scene = LitScene::of(&tracer, &solids.surfaces, &city.ground);
         for (index, view) in collection
             .views
             .iter()
@@ -160,11 +155,7 @@ pub fn write_satellite(
         altitude_range_m: truth.altitude_range_m(),
         class_share: class_share(&truth),
         cover_share: share_of(&truth.cover),
-        glossy_share: if request.has(Fault::Glossy) {
-            share_of(&truth.glossy)
-        } else {
-            0.0
-        },
+        glossy_share: f64::from(u8::from(request.has(Fault::Glossy))) * share_of(&truth.glossy),
         images: images.into_iter().flatten().collect(),
     };
     write_lists(&staging, &summary)?;
@@ -227,20 +218,17 @@ fn camera(
     grid: &TruthGrid,
     view: &ViewPlan,
 ) -> Result<ImageCamera, SynthError> {
-    let fault = |source| SynthError::Camera {
-        image: view.name.clone(),
-        source,
-    };
+    let fault = SynthError::camera(&view.name);
     let (sensor, crop, fit) = match &view.known {
         None => {
             let sensor = PushBroom::new(frame, &view.geometry, view.aim_px);
             let crop = crop_of(request, frame, grid, &|point| sensor.project(point));
-            let fit = sensor.fit_rational_camera(frame).map_err(fault)?;
+            let fit = sensor.fit_rational_camera(frame).map_err(&fault)?;
             (Sensor::PushBroom(Box::new(sensor)), crop, fit)
         }
         Some(rpc) => {
             let crop = crop_of(request, frame, grid, &|point| rational::project(rpc, frame, point));
-            let sensor = RationalSensor::new(rpc, frame, &crop).map_err(fault)?;
+            let sensor = RationalSensor::new(rpc, frame, &crop).map_err(&fault)?;
             let fit = RpcFit {
                 rpc: rpc.clone(),
                 rms_px: 0.0,
@@ -322,11 +310,7 @@ fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
 fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid: &TruthGrid, date: usize) -> Truth {
     let solids = fitted(request, city.solids(date));
     let tracer = Tracer::new(&city.terrain, solids.primitives);
-    let scene = LitScene {
-        tracer: &tracer,
-        surfaces: &solids.surfaces,
-        ground: &city.ground,
-    };
+    let scene = LitScene::of(&tracer, &solids.surfaces, &city.ground);
     let bare = Tracer::new(&city.terrain, Default::default());
     let ground = LitScene { tracer: &bare, ..scene };
     Truth {
@@ -384,13 +368,13 @@ fn relight(
     };
     let solids = fitted(request, city.solids(collection.dates.len().saturating_sub(1)));
     let tracer = Tracer::new(&city.terrain, solids.primitives);
-    let scene = LitScene {
-        tracer: &tracer,
-        surfaces: &solids.surfaces,
-        ground: &city.ground,
-    };
+    let scene = LitScene::of(&tracer, &solids.surfaces, &city.ground);
     let suns_deg = relit::suns_deg(request, collection);
-    write_relit(staging, request, (&scene, sensor), &studio, &suns_deg, rows_done)
+    let folder = TruthFolder {
+        staging,
+        grid: &sensor.grid,
+    };
+    folder.write_relit(request, (&scene, sensor), &studio, &suns_deg, rows_done)
 }
 
 fn write_image(
@@ -402,13 +386,8 @@ fn write_image(
     altitudes_m: [f64; 2],
 ) -> Result<(), SynthError> {
     let items = image_items(view, request, share_of(&image.cloud));
-    let bytes: Vec<u8>;
-    let samples = if request.file_bits() == 8 {
-        bytes = image.counts.iter().map(|&count| count.min(255) as u8).collect();
-        Samples::U8(&bytes)
-    } else {
-        Samples::U16(&image.counts)
-    };
+    let mut bytes = Vec::new();
+    let samples = Samples::of_counts(&image.counts, request.file_bits(), &mut bytes);
     let raster = Raster {
         width: image.width,
         height: image.height,
@@ -437,10 +416,7 @@ fn write_image(
             "1 where clouds hide a tenth of the pixel or more",
         )?;
     }
-    let json = satnerf_json(view, &camera.crop, &camera.rpc, altitudes_m).map_err(|source| SynthError::Camera {
-        image: view.name.clone(),
-        source,
-    })?;
+    let json = satnerf_json(view, &camera.crop, &camera.rpc, altitudes_m).map_err(SynthError::camera(&view.name))?;
     staging.text(&format!("{}.json", view.name), &format!("{json:#}\n"))
 }
 

@@ -15,6 +15,7 @@ const BESIDE_COVER_M: f64 = 4.0;
 const FINE: usize = 3;
 
 /// The truth rasters, row by row from the north-west.
+#[derive(Default)]
 pub(crate) struct Truth {
     /// Ellipsoidal altitude of the highest surface at each cell's centre, metres.
     pub(crate) altitude_m: Vec<f32>,
@@ -55,15 +56,7 @@ pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, ban
         .into_par_iter()
         .map(|row| survey_row(scene, frame, grid, bands, row))
         .collect();
-    let mut truth = Truth {
-        altitude_m: Vec::new(),
-        ground_m: Vec::new(),
-        class: Vec::new(),
-        albedo: Vec::new(),
-        cover: Vec::new(),
-        bare: Vec::new(),
-        glossy: Vec::new(),
-    };
+    let mut truth = Truth::default();
     for row in rows {
         truth.altitude_m.extend(row.altitude_m);
         truth.class.extend(row.class);
@@ -77,15 +70,7 @@ pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, ban
 
 fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: BandSet, row: usize) -> Truth {
     let band_count = bands.names().len();
-    let mut truth = Truth {
-        altitude_m: Vec::with_capacity(grid.size),
-        ground_m: Vec::new(),
-        class: Vec::with_capacity(grid.size),
-        albedo: Vec::with_capacity(grid.size * band_count),
-        cover: Vec::with_capacity(grid.size),
-        bare: Vec::with_capacity(grid.size),
-        glossy: Vec::with_capacity(grid.size),
-    };
+    let mut truth = Truth::default();
     for col in 0..grid.size {
         let centre = look_down(scene, frame, grid, [col as f64 + 0.5, row as f64 + 0.5]);
         truth

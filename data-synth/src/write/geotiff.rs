@@ -45,7 +45,16 @@ pub(crate) struct Raster<'a> {
     pub(crate) nodata: Option<f32>,
 }
 
-impl Samples<'_> {
+impl<'a> Samples<'a> {
+    /// Counts of an image as 16 or 8 bits, these in `bytes`.
+    pub(crate) fn of_counts(counts: &'a [u16], bits: u8, bytes: &'a mut Vec<u8>) -> Self {
+        if bits != 8 {
+            return Self::U16(counts);
+        }
+        bytes.extend(counts.iter().map(|&count| count.min(255) as u8));
+        Self::U8(bytes)
+    }
+
     fn bits(&self) -> u16 {
         match self {
             Samples::U8(_) => 8,
@@ -69,14 +78,7 @@ impl Samples<'_> {
 pub(crate) fn write(path: &Path, raster: &Raster) -> Result<(), SynthError> {
     let file = File::create(path).map_err(failed(path))?;
     let mut buffered = BufWriter::new(file);
-    let encoded = encode(&mut buffered, raster).map_err(|source| match source {
-        tiff::TiffError::IoError(source) => failed(path)(source),
-        source => SynthError::Tiff {
-            path: path.to_owned(),
-            source,
-        },
-    });
-    encoded?;
+    encode(&mut buffered, raster).map_err(|source| SynthError::unwritable(path, source))?;
     let file = buffered
         .into_inner()
         .map_err(|error| failed(path)(error.into_error()))?;
@@ -154,24 +156,8 @@ fn grid_tags<W: std::io::Write + std::io::Seek>(directory: &mut Directory<W>, gr
     let scale = [grid.cell_m, grid.cell_m, 0.0];
     let tiepoint = [0.0, 0.0, 0.0, grid.west_m, grid.north_m, 0.0];
     // Version 1.1.0 and three keys: a projected model, pixels that are areas, the zone's EPSG code.
-    let keys = [
-        1u16,
-        1,
-        0,
-        3,
-        1024,
-        0,
-        1,
-        1,
-        1025,
-        0,
-        1,
-        1,
-        3072,
-        0,
-        1,
-        grid.zone.epsg(),
-    ];
+    let epsg = grid.zone.epsg();
+    let keys = [[1u16, 1, 0, 3], [1024, 0, 1, 1], [1025, 0, 1, 1], [3072, 0, 1, epsg]].concat();
     directory.write_tag(Tag::Unknown(MODEL_PIXEL_SCALE), &scale[..])?;
     directory.write_tag(Tag::Unknown(MODEL_TIEPOINT), &tiepoint[..])?;
     directory.write_tag(Tag::Unknown(GEO_KEY_DIRECTORY), &keys[..])

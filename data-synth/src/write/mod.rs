@@ -72,9 +72,8 @@ fn move_into(from: &Path, to: &Path) -> Result<(), SynthError> {
 }
 
 /// Names the file an input/output error is about.
-pub(crate) fn failed(path: &Path) -> impl FnOnce(io::Error) -> SynthError + use<> {
-    let path = path.to_owned();
-    move |source| SynthError::Write { path, source }
+pub(crate) fn failed(path: &Path) -> impl Fn(io::Error) -> SynthError {
+    move |source| SynthError::unwritable(path, source)
 }
 
 #[cfg(test)]

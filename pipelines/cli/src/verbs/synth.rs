@@ -132,7 +132,7 @@ impl SynthArgs {
 impl From<SynthError> for CliError {
     fn from(error: SynthError) -> Self {
         match &error {
-            SynthError::BadRequest(_) | SynthError::Cameras { .. } => Self::Input(error.to_string()),
+            SynthError::BadRequest(_) => Self::Input(error.to_string()),
             _ => Self::Failed(error.to_string()),
         }
     }
