@@ -1,7 +1,6 @@
 //! The manifest of a batch: areas, sets of images, presets.
 
 use super::BatchError;
-use super::tiles::LEAST_SIDE_M;
 use bytesize::ByteSize;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight::LOWEST_SUN_DEG;
@@ -14,6 +13,8 @@ use heliosplat_scene::{AreaRequest, RpcPreference};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+/// Cores of tiles are not cut smaller than this many metres: then the overlap would be most of a tile.
+pub(super) const LEAST_SIDE_M: f64 = 24.0;
 /// Longest name of an area, a set of images or a preset.
 const LONGEST_NAME: usize = 64;
 /// Prefixes of the object stores that products may be copied to. Paths on disk are refused: a batch writes only to its
@@ -253,12 +254,9 @@ impl Manifest {
     /// Reads a manifest; its paths come back resolved against its folder.
     ///
     /// # Errors
-    /// [`BatchError::Manifest`].
+    /// Where it cannot be read or understood.
     pub fn read(path: &Path) -> Result<Self, BatchError> {
-        let fault = |reason: String| BatchError::Manifest {
-            path: path.to_owned(),
-            reason,
-        };
+        let fault = |reason: String| BatchError::Refused(format!("{}: {reason}", path.display()));
         let text = read_text(path).map_err(|error| fault(error.to_string()))?;
         let mut manifest = Self::parse(&text).map_err(fault)?;
         let folder = path.parent().unwrap_or_else(|| Path::new("."));

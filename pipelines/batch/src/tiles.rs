@@ -5,7 +5,7 @@
 //! one to the other.
 
 use super::BatchError;
-use super::manifest::TileOptions;
+use super::manifest::{LEAST_SIDE_M, TileOptions};
 use heliosplat_raster::{Crs, GridSpec};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, Extent, PROGRAM_BYTES, estimate_of, sweep_estimate};
@@ -15,8 +15,6 @@ use std::collections::BTreeSet;
 
 /// Bytes per pixel and band of the images that a tile reads: the values, and what reading takes besides.
 const BYTES_PER_PIXEL: f64 = 4.0 * 1.5;
-/// Cores are not cut smaller than this many metres: then the overlap would be most of a tile.
-pub(super) const LEAST_SIDE_M: f64 = 24.0;
 /// Ground sampling distances each way of a patch on which ties are sought, at most.
 const PATCH_CELLS: f64 = 800.0;
 /// Most patches each way.
@@ -98,21 +96,20 @@ pub fn cut(request: &Request) -> Result<Tiling, BatchError> {
         let (high_m, wide_m) = (side_m(grid.height, rows), side_m(grid.width, cols));
         match try_cut(request, &grid, gsd_m, (rows, cols))? {
             Ok(tiling) if tiling.tiles.is_empty() => {
-                return Err(BatchError::NothingShown {
-                    area: request.name.into(),
-                    images: request.images.into(),
-                });
+                return Err(BatchError::Refused(format!(
+                    "{}: no tile of it is shown by two training images of {}; give other bounds",
+                    request.name, request.images
+                )));
             }
             Ok(tiling) => return Ok(tiling),
             Err(TooMuch { what, remedy }) => {
                 let smallest = high_m.max(wide_m) / 1.2 < LEAST_SIDE_M;
                 if smallest || rows * cols >= MOST_TILES {
-                    return Err(BatchError::TooLarge {
-                        area: request.name.into(),
-                        side_m: high_m.max(wide_m),
-                        what,
-                        remedy,
-                    });
+                    return Err(BatchError::Refused(format!(
+                        "{}: tiles of {:.0} m would still take {what}; {remedy}",
+                        request.name,
+                        high_m.max(wide_m)
+                    )));
                 }
             }
         }

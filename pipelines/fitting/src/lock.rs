@@ -1,6 +1,5 @@
 //! Lock of a folder: one process writes into it at a time.
 
-use crate::run_folder::RunError;
 use heliosplat_raster::RasterError;
 use std::fs::{File, TryLockError};
 use std::io::Result;
@@ -21,7 +20,7 @@ impl Lock {
     ///
     /// # Errors
     /// When nothing can be written there.
-    pub fn take(folder: &Path) -> std::result::Result<Option<Self>, RunError> {
+    pub fn take(folder: &Path) -> std::result::Result<Option<Self>, RasterError> {
         let path = folder.join(FILE);
         loop {
             let file = File::options().create(true).append(true).open(&path);

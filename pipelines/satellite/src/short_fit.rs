@@ -3,9 +3,11 @@
 //! Roofs of a swept surface are too wide and its walls lean, and its shadows have the same errors. A model of a few
 //! steps has its walls in the right place: shadows and dark ground agree better on it by half (docs/lab/suns.md).
 
+
+use super::config::SatelliteConfig;
 use super::error::SatelliteError;
-use super::fit::FitRequest;
 use super::initial_state::{self, InitialState, SKY};
+use super::plan::Decisions;
 use super::preprocess::Preprocess;
 use super::suns;
 use heliosplat::ProjectiveCamera;
@@ -15,6 +17,8 @@ use heliosplat::train::Trainer;
 use heliosplat_products::dsm;
 use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_radiometry::{colours, linear};
+use heliosplat_scene::Scene;
+use heliosplat_session::Session;
 
 /// Steps: those of the preset `fast`.
 const STEPS: usize = 40;
@@ -25,18 +29,16 @@ const FEWEST_KNOWN: usize = 4;
 ///
 /// # Errors
 /// [`SatelliteError`] when training fails or does not fit into the given memory.
-pub(super) fn altitudes(request: &FitRequest, swept: &Preprocess) -> Result<Vec<f32>, SatelliteError> {
+pub(super) fn altitudes(
+    (scene, config, decisions): (&Scene, &SatelliteConfig, &Decisions),
+    memory: Option<u64>,
+    swept: &Preprocess,
+    session: &Session,
+) -> Result<Vec<f32>, SatelliteError> {
     let _part = stage("short fit");
-    let &FitRequest {
-        scene,
-        config,
-        memory,
-        session,
-        ..
-    } = request;
     tracing::info!("Short training to estimate the suns from shadows on a better surface");
     let Preprocess { ground, found } = swept;
-    let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, request.decisions);
+    let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, decisions);
     let InitialState {
         model,
         mut parameters,
