@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 
 /// Name of the groups of spherical harmonics, by degree.
 const HARMONICS: &str = "sh_";
+/// In place of a group: a colour that is computed for viewers, and in no group.
+const SHOWN: usize = usize::MAX;
 
 /// Place of a column of the file in the table.
 struct Column {
@@ -17,8 +19,8 @@ struct Column {
     component: usize,
 }
 
-/// The columns of a table with these groups.
-fn columns(specs: &[GroupSpec]) -> Vec<Column> {
+/// The columns of a table with these groups; with colours for viewers alone where they are `shown`.
+fn columns(specs: &[GroupSpec], shown: bool) -> Vec<Column> {
     let mut all = Vec::new();
     let mut add = |name: String, group: usize, component: usize| all.push(Column { name, group, component });
     for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
@@ -26,8 +28,11 @@ fn columns(specs: &[GroupSpec]) -> Vec<Column> {
     }
     let harmonics = specs[FEATURES..]
         .iter()
-        .filter(|g| g.name.starts_with(HARMONICS))
+        .take_while(|g| g.name.starts_with(HARMONICS))
         .count();
+    for k in 0..3 * usize::from(shown) {
+        add(format!("f_dc_{k}"), SHOWN, k);
+    }
     for k in 0..3 * harmonics.min(1) {
         add(format!("f_dc_{k}"), FEATURES, k);
     }
@@ -57,18 +62,28 @@ fn columns(specs: &[GroupSpec]) -> Vec<Column> {
 
 /// The file of a table whose harmonics, if any, are its first groups of features; comments are in its header.
 pub fn encode(gaussians: &Table, comments: &[String]) -> Vec<u8> {
+    write(gaussians, comments, None)
+}
+
+/// The same of a model without harmonics, whose viewers see the coefficients `shown` of each Gaussian.
+pub fn encode_shown(gaussians: &Table, shown: &dyn Fn(usize) -> [f32; 3]) -> Vec<u8> {
+    write(gaussians, &[], Some(shown))
+}
+
+fn write(gaussians: &Table, comments: &[String], shown: Option<&dyn Fn(usize) -> [f32; 3]>) -> Vec<u8> {
     let specs: Vec<GroupSpec> = gaussians.groups.iter().map(|g| g.spec.clone()).collect();
-    let columns = columns(&specs);
-    let mut out = header(
-        comments,
-        gaussians.count,
-        columns.iter().map(|column| column.name.as_str()),
-    );
+    let columns = columns(&specs, shown.is_some());
+    let names = columns.iter().map(|column| column.name.as_str());
+    let mut out = header(comments, gaussians.count, names);
     out.reserve(gaussians.count * columns.len() * size_of::<f32>());
     for i in 0..gaussians.count {
+        let colour = shown.map(|shown| shown(i)).unwrap_or_default();
         for column in &columns {
-            let group = &gaussians.groups[column.group];
-            out.extend_from_slice(&group.values[i * group.spec.width + column.component].to_le_bytes());
+            let value = match gaussians.groups.get(column.group) {
+                Some(group) => group.values[i * group.spec.width + column.component],
+                None => colour[column.component],
+            };
+            out.extend_from_slice(&value.to_le_bytes());
         }
     }
     out
@@ -83,7 +98,7 @@ pub fn decode(bytes: &[u8], features: Vec<GroupSpec>) -> Result<Table, String> {
     let places: BTreeMap<&str, usize> = rows.columns.iter().copied().zip(0..).collect();
     let mut groups = core_groups();
     groups.extend(features);
-    let columns = columns(&groups);
+    let columns = columns(&groups, false);
     let place = |column: &Column| {
         let place = places.get(column.name.as_str()).copied();
         place.ok_or(format!("it has no property {}", column.name))
@@ -143,7 +158,7 @@ mod tests {
         assert!(!header.contains("f_rest_45"));
         // All of red before green: the second rest coefficient is the next function's red.
         let specs: Vec<GroupSpec> = table().groups.iter().map(|g| g.spec.clone()).collect();
-        let all = columns(&specs);
+        let all = columns(&specs, false);
         let rest = all.iter().position(|c| c.name == "f_rest_1").expect("a column");
         assert_eq!((all[rest].group, all[rest].component), (FEATURES + 1, 3));
         assert_eq!(all.iter().find(|c| c.name == "rot_0").expect("a column").component, 3);
