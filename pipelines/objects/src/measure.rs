@@ -12,7 +12,7 @@ use heliosplat_evaluate::image::{ImageScore, psnr_db, score_image};
 use heliosplat_fitting::curve::Accuracy;
 use heliosplat_fitting::training::Probe;
 use heliosplat_raster::RasterError;
-use heliosplat_raster::preview::write_png;
+use heliosplat_raster::preview::{side_by_side, write_png};
 use heliosplat_scene::Split;
 use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
@@ -89,7 +89,7 @@ fn scores(model: &ObjectModel, frames: &[&Frame], folder: Option<&Path>) -> Resu
             continue;
         };
         if let Some(folder) = folder {
-            let pair = side_by_side(&picture(&compared.truth, model), &picture(&compared.rendered, model));
+            let pair = side_by_side(&[picture(&compared.truth, model), picture(&compared.rendered, model)]);
             write_png(&folder.join(format!("{}.png", file_name(&frame.name))), &pair)?;
         }
         all.extend(compared.score);
@@ -189,17 +189,6 @@ fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<
         })
         .collect();
     (angles > 0).then(|| json!({"mean_deg": angle / angles as f64, "parts": parts}))
-}
-
-fn side_by_side(left: &RgbImage, right: &RgbImage) -> RgbImage {
-    let width = left.width();
-    RgbImage::from_fn(width + right.width(), left.height(), |col, row| {
-        *if col < width {
-            left.get_pixel(col, row)
-        } else {
-            right.get_pixel(col - width, row)
-        }
-    })
 }
 
 /// `metrics.json` of a model, from the images alone.

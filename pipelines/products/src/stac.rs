@@ -15,9 +15,7 @@ const PROJECTION: &str = "https://stac-extensions.github.io/projection/v2.0.0/sc
 const RASTER: &str = "https://stac-extensions.github.io/raster/v2.0.0/schema.json";
 const VIEW: &str = "https://stac-extensions.github.io/view/v1.0.0/schema.json";
 const COG: &str = "image/tiff; application=geotiff; profile=cloud-optimized";
-const TILES: &str = "application/3dtiles+json";
 const LAZ: &str = "application/vnd.laszip";
-const PNG: &str = "image/png";
 
 /// One band of an asset.
 #[derive(Debug, Clone)]
@@ -78,43 +76,20 @@ impl Asset {
         }
     }
 
-    /// A small picture for catalogues.
-    pub fn thumbnail(file: &str) -> Self {
-        Self {
-            key: "thumbnail".into(),
-            file: file.into(),
-            value: json!({"href": format!("./{file}"), "title": "Thumbnail", "type": PNG, "roles": ["thumbnail"]}),
-        }
-    }
-
-    /// A page for a browser.
-    pub fn page(file: &str, title: &str) -> Self {
-        Self {
-            key: "page".into(),
-            file: file.into(),
-            value: json!({"href": format!("./{file}"), "title": title, "type": "text/html", "roles": ["overview"]}),
-        }
-    }
-
-    /// 3D Tiles that begin with this file.
-    pub fn tiles(key: &str, file: &str, title: &str) -> Self {
+    /// A file that is no raster, with its media type and its role.
+    pub fn other((key, file, title): (&str, &str, &str), media_type: &str, role: &str) -> Self {
         Self {
             key: key.into(),
             file: file.into(),
-            value: json!({"href": format!("./{file}"), "title": title, "type": TILES, "roles": ["visual"]}),
+            value: json!({"href": format!("./{file}"), "title": title, "type": media_type, "roles": [role]}),
         }
     }
 
     /// A point cloud of `count` points.
     pub fn points(file: &str, count: usize) -> Self {
-        Self {
-            key: "points".into(),
-            file: file.into(),
-            value: json!({
-                "href": format!("./{file}"), "title": "Point cloud", "type": LAZ, "roles": ["data"],
-                "description": format!("{count} points: opaque Gaussians, coloured by their albedo"),
-            }),
-        }
+        let mut asset = Self::other(("points", file, "Point cloud"), LAZ, "data");
+        asset.value["description"] = format!("{count} points: opaque Gaussians, coloured by their albedo").into();
+        asset
     }
 }
 

@@ -255,7 +255,11 @@ impl<'a> Writer<'a> {
         // A strip keeps a pixel of its shorter side.
         let smaller = width.max(height).div_ceil(THUMBNAIL_PX).min(width.min(height)).max(1);
         write_png(&self.out.join(THUMBNAIL), &stretched(&albedo.downscaled(smaller)))?;
-        self.assets.push(Asset::thumbnail(THUMBNAIL));
+        self.assets.push(Asset::other(
+            ("thumbnail", THUMBNAIL, "Thumbnail"),
+            "image/png",
+            "thumbnail",
+        ));
         let Some(index) = index else {
             return Ok(());
         };
@@ -294,37 +298,35 @@ impl<'a> Writer<'a> {
             items.extend([("FROM".to_owned(), from.to_string()), ("TO".to_owned(), to.to_string())]);
             items
         };
-        let title = format!("Hours of direct sun per day, mean of {when}");
-        let hours = during("hours of direct sun per day, mean over the days of the period");
-        let style = |raster: &Raster| Style::amounts(raster.plane(0));
-        self.quantity(
-            ("sun_hours", &title),
-            &shone.sun_hours,
-            ("sun_hours", "h"),
-            &hours,
-            style(&shone.sun_hours),
-        )?;
-        let title = "Sky view factor: share of the light of an even sky";
-        let sky = about("share of the light of an even sky that reaches the inclined surface");
-        self.quantity(
-            ("sky_view", title),
-            &shone.sky_view,
-            ("sky_view_factor", "1"),
-            &sky,
-            style(&shone.sky_view),
-        )?;
-        let title = format!("Irradiation under a clear sky, total of {when}");
         let mut energy = during(
             "irradiation of the inclined surface under a clear sky, total of the period: beam and sky by the ESRA model, without reflected light",
         );
         energy.push(("LINKE_TURBIDITY".to_owned(), LINKE_TURBIDITY.to_string()));
-        self.quantity(
-            ("irradiation", &title),
-            &shone.irradiation,
-            ("irradiation", "kWh/m²"),
-            &energy,
-            style(&shone.irradiation),
-        )
+        let products = [
+            (
+                ("sun_hours", format!("Hours of direct sun per day, mean of {when}")),
+                (&shone.sun_hours, "sun_hours", "h"),
+                during("hours of direct sun per day, mean over the days of the period"),
+            ),
+            (
+                (
+                    "sky_view",
+                    "Sky view factor: share of the light of an even sky".to_owned(),
+                ),
+                (&shone.sky_view, "sky_view_factor", "1"),
+                about("share of the light of an even sky that reaches the inclined surface"),
+            ),
+            (
+                ("irradiation", format!("Irradiation under a clear sky, total of {when}")),
+                (&shone.irradiation, "irradiation", "kWh/m²"),
+                energy,
+            ),
+        ];
+        for ((key, title), (raster, name, unit), items) in products {
+            let style = Style::amounts(raster.plane(0));
+            self.quantity((key, &title), raster, (name, unit), &items, style)?;
+        }
+        Ok(())
     }
 
     fn quantity(
@@ -366,12 +368,14 @@ impl<'a> Writer<'a> {
 
     /// Notes 3D Tiles that were written beside the rasters; `file` is their `tileset.json`.
     pub fn tiles(&mut self, key: &str, file: &str, title: &str) {
-        self.assets.push(Asset::tiles(key, file, title));
+        let asset = Asset::other((key, file, title), "application/3dtiles+json", "visual");
+        self.assets.push(asset);
     }
 
     /// Notes a page for people that was written beside the rasters.
     pub fn page(&mut self, file: &str, title: &str) {
-        self.assets.push(Asset::page(file, title));
+        self.assets
+            .push(Asset::other(("page", file, title), "text/html", "overview"));
     }
 
     /// Writes the STAC item of all that was written before.

@@ -383,100 +383,97 @@ pub fn summary(metrics: &Value) -> String {
 
 /// Accuracy of a run against the truth of its scene, one line for each metric.
 pub fn accuracy(metrics: &Value) -> Vec<String> {
-    let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
-    let mut lines = Vec::new();
     let protocol = metrics
         .pointer("/dsm/protocol")
         .and_then(Value::as_str)
         .unwrap_or("raw");
-    let mut add = |label: &str, value: Option<f64>, unit: &str| {
-        if let Some(value) = value {
-            lines.push(format!("{label:<14} {value:.3} {unit}"));
-        }
+    let (all, ground) = (
+        format!("m ({protocol})"),
+        format!("m ({protocol}, ground, roads and buildings)"),
+    );
+    lines_of(
+        metrics,
+        &[
+            (
+                "rejected steps",
+                "/rejected_steps",
+                1.0,
+                "(numbers that were not finite)",
+            ),
+            ("start MAE", "/start/mae_m", 1.0, "m (raw, plane sweep before training)"),
+            ("DSM MAE", "/dsm/mae_m", 1.0, &all),
+            ("DSM MAE", "/dsm/ground_and_buildings/mae_m", 1.0, &ground),
+            ("DSM median", "/dsm/median_m", 1.0, &all),
+            ("shadow BER", "/shadow/ber", 100.0, "%"),
+            ("... traced", "/shadow/traced/ber", 100.0, "% (without the image)"),
+            ("shadows right", "/shadow/accuracy", 100.0, "%"),
+            (
+                "reopened",
+                "/lowered/area_m2",
+                1.0,
+                "m² of shaded courtyards and alleys",
+            ),
+            ("changed", "/change/segments", 1.0, "buildings between the images"),
+            (
+                "... precision",
+                "/change/truth/precision",
+                100.0,
+                "% of the changed area found",
+            ),
+            ("... recall", "/change/truth/recall", 100.0, "% of the changed area"),
+            (
+                "DSM MAE",
+                "/change/dsm_before/mae_m",
+                1.0,
+                "m (raw, at the first image)",
+            ),
+            (
+                "relit PSNR",
+                "/relit/mean/psnr_one_gain_db",
+                1.0,
+                "dB (suns of no image, one gain for all)",
+            ),
+            (
+                "relit PSNR",
+                "/relit/mean/psnr_own_gain_db",
+                1.0,
+                "dB (a gain for each sun)",
+            ),
+            ("relit BER", "/relit/mean/ber", 100.0, "% (traced)"),
+        ],
+    )
+}
+
+/// Places of counts and areas that are left out where they are zero.
+const SHOWN_ABOVE_ZERO: [&str; 3] = ["/rejected_steps", "/lowered/area_m2", "/change/segments"];
+
+/// The numbers that are there, a line each: label, place in the metrics, factor, and unit.
+fn lines_of(metrics: &Value, rows: &[(&str, &str, f64, &str)]) -> Vec<String> {
+    let line = |&(label, place, factor, unit): &(&str, &str, f64, &str)| {
+        let value = metrics.pointer(place)?.as_f64()?;
+        let shown = value > 0.0 || !SHOWN_ABOVE_ZERO.contains(&place);
+        shown.then(|| format!("{label:<14} {:.3} {unit}", factor * value))
     };
-    add(
-        "rejected steps",
-        number("/rejected_steps").filter(|&n| n > 0.0),
-        "(numbers that were not finite)",
-    );
-    add(
-        "start MAE",
-        number("/start/mae_m"),
-        "m (raw, plane sweep before training)",
-    );
-    add("DSM MAE", number("/dsm/mae_m"), &format!("m ({protocol})"));
-    add(
-        "DSM MAE",
-        number("/dsm/ground_and_buildings/mae_m"),
-        &format!("m ({protocol}, ground, roads and buildings)"),
-    );
-    add("DSM median", number("/dsm/median_m"), &format!("m ({protocol})"));
-    add("shadow BER", number("/shadow/ber").map(|b| 100.0 * b), "%");
-    add(
-        "... traced",
-        number("/shadow/traced/ber").map(|b| 100.0 * b),
-        "% (without the image)",
-    );
-    add("shadows right", number("/shadow/accuracy").map(|a| 100.0 * a), "%");
-    add(
-        "reopened",
-        number("/lowered/area_m2").filter(|&area| area > 0.0),
-        "m² of shaded courtyards and alleys",
-    );
-    add(
-        "changed",
-        number("/change/segments").filter(|&count| count > 0.0),
-        "buildings between the images",
-    );
-    add(
-        "... precision",
-        number("/change/truth/precision").map(|p| 100.0 * p),
-        "% of the changed area found",
-    );
-    add(
-        "... recall",
-        number("/change/truth/recall").map(|r| 100.0 * r),
-        "% of the changed area",
-    );
-    add(
-        "DSM MAE",
-        number("/change/dsm_before/mae_m"),
-        "m (raw, at the first image)",
-    );
-    add(
-        "relit PSNR",
-        number("/relit/mean/psnr_one_gain_db"),
-        "dB (suns of no image, one gain for all)",
-    );
-    add(
-        "relit PSNR",
-        number("/relit/mean/psnr_own_gain_db"),
-        "dB (a gain for each sun)",
-    );
-    add("relit BER", number("/relit/mean/ber").map(|b| 100.0 * b), "% (traced)");
-    lines
+    rows.iter().filter_map(line).collect()
 }
 
 /// Image quality of a run, its time and its memory, one line for each metric.
 pub fn engine(metrics: &Value) -> Vec<String> {
-    let number = |pointer: &str| metrics.pointer(pointer).and_then(Value::as_f64);
-    let mut lines = Vec::new();
-    let mut add = |label: &str, value: Option<f64>, unit: &str| {
-        lines.extend(value.map(|value| format!("{label:<14} {value:.3} {unit}")));
-    };
-    add("PSNR train", number("/train/psnr"), "dB");
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
-    add("PSNR held out", number("/test/psnr"), &format!("dB (colour {colour})"));
-    let colours = "dB (red, green, blue alone)";
-    add("PSNR held out", number("/test/psnr_rgb"), colours);
-    add("time", number("/seconds"), "s");
-    add(
-        "memory",
-        number("/peak_rss_bytes").map(|b| b / f64::from(1 << 20)),
-        "MiB at most",
+    let mut lines = lines_of(
+        metrics,
+        &[
+            ("PSNR train", "/train/psnr", 1.0, "dB"),
+            ("PSNR held out", "/test/psnr", 1.0, &format!("dB (colour {colour})")),
+            ("PSNR held out", "/test/psnr_rgb", 1.0, "dB (red, green, blue alone)"),
+            ("time", "/seconds", 1.0, "s"),
+            ("memory", "/peak_rss_bytes", 1.0 / f64::from(1 << 20), "MiB at most"),
+        ],
     );
-    if let Some(count) = metrics["gaussians"].as_u64() {
-        lines.push(format!("{:<14} {count}", "Gaussians"));
-    }
+    lines.extend(
+        metrics["gaussians"]
+            .as_u64()
+            .map(|count| format!("{:<14} {count}", "Gaussians")),
+    );
     lines
 }
