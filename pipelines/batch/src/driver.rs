@@ -85,7 +85,7 @@ impl Batch<'_> {
         let places: BTreeMap<&str, usize> = units.iter().zip(0..).map(|(unit, k)| (unit.id.as_str(), k)).collect();
         let place = |id: &String| {
             let found = places.get(id.as_str()).copied();
-            found.ok_or_else(|| BatchError::NoUnit { unit: id.clone() })
+            found.ok_or_else(|| BatchError::no_unit(id))
         };
         let waits = units
             .iter()

@@ -14,7 +14,6 @@ pub mod row;
 pub mod stamp;
 pub mod summary;
 pub mod tiles;
-pub mod tradeoff;
 pub mod unit;
 
 use heliosplat_evaluate::EvaluateError;
@@ -27,54 +26,11 @@ use heliosplat_products::relight::RelightError;
 use heliosplat_raster::RasterError;
 use heliosplat_satellite::SatelliteError;
 use heliosplat_scene::SceneError;
-use std::path::PathBuf;
 
 /// Why a batch cannot be planned, or a unit of it not be done.
 #[derive(Debug, thiserror::Error)]
 pub enum BatchError {
-    /// A manifest that cannot be understood.
-    #[error("{}: {reason}", path.display())]
-    Manifest {
-        /// The file.
-        path: PathBuf,
-        /// Description of the fault and its remedy.
-        reason: String,
-    },
-    /// No such unit.
-    #[error("--only {unit}: the plan has no such unit; see them with --plan")]
-    NoUnit {
-        /// Name of the requested unit.
-        unit: String,
-    },
-    /// A unit that waits for another.
-    #[error("{unit}: {after} must be finished before; run it, or the whole batch")]
-    NotYet {
-        /// The unit.
-        unit: String,
-        /// Name of the unit that must be finished before it.
-        after: String,
-    },
-    /// An area that cannot be cut so that its tiles fit.
-    #[error("{area}: tiles of {side_m:.0} m would still take {what}; {remedy}")]
-    TooLarge {
-        /// The area.
-        area: String,
-        /// Side of the smallest tiles tried, metres.
-        side_m: f64,
-        /// Exceeded limit, as text: memory or camera residual.
-        what: String,
-        /// Remedy, as text for the user.
-        remedy: &'static str,
-    },
-    /// An area that no two images show.
-    #[error("{area}: no tile of it is shown by two training images of {images}; give other bounds")]
-    NothingShown {
-        /// The area.
-        area: String,
-        /// The images.
-        images: String,
-    },
-    /// A unit whose scene cannot be used.
+    /// A manifest, an area or a unit that cannot be used, with the remedy.
     #[error("{0}")]
     Refused(String),
     /// Stopped by the user.
@@ -113,12 +69,11 @@ pub enum BatchError {
     /// A raster at fault.
     #[error(transparent)]
     Raster(#[from] RasterError),
-    /// A file of the batch that cannot be read.
-    #[error("{}: {reason}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// Error of the operating system.
-        reason: std::io::Error,
-    },
+}
+
+impl BatchError {
+    /// A unit that the plan does not have.
+    fn no_unit(id: &str) -> Self {
+        Self::Refused(format!("--only {id}: the plan has no such unit; see them with --plan"))
+    }
 }

@@ -199,7 +199,7 @@ impl<'a> Units<'a> {
     /// A unit by its name; the whole is planned where no plan is kept.
     ///
     /// # Errors
-    /// [`BatchError::NoUnit`].
+    /// Where the plan has no such unit.
     pub fn unit(&self, id: &str) -> Result<Unit, BatchError> {
         let plain = !Path::new(id).is_absolute() && !id.contains("..");
         let kept = self.made.as_ref().filter(|_| plain);
@@ -208,7 +208,7 @@ impl<'a> Units<'a> {
         }
         let plan = Plan::of(self.manifest, self.out, false)?;
         let found = plan.units.into_iter().find(|unit| unit.id == id);
-        found.ok_or_else(|| BatchError::NoUnit { unit: id.into() })
+        found.ok_or_else(|| BatchError::no_unit(id))
     }
 }
 
@@ -357,10 +357,8 @@ fn units_of(
     let inputs = digest(&index.identity(hashes)?);
     let mut units = Vec::new();
     for preset in &manifest.presets {
-        let config = preset.config().map_err(|error| BatchError::Manifest {
-            path: images.scene.clone(),
-            reason: error.to_string(),
-        })?;
+        let config =
+            (preset.config()).map_err(|error| BatchError::Refused(format!("{}: {error}", images.scene.display())))?;
         let tiling = tiles::cut(&tiles::Request {
             name: &area.name,
             images: &images.name,

@@ -49,10 +49,10 @@ pub fn do_unit(
 ) -> Result<(Stamp, bool), BatchError> {
     for after in &unit.after {
         if finished(out, &units.unit(after)?).is_none() {
-            return Err(BatchError::NotYet {
-                unit: unit.id.clone(),
-                after: after.clone(),
-            });
+            return Err(BatchError::Refused(format!(
+                "{}: {after} must be finished before; run it, or the whole batch",
+                unit.id
+            )));
         }
     }
     let folder = out.join(&unit.id);
@@ -145,12 +145,9 @@ fn tile(
     let (preset, mut config) = (work.preset.parsed()?, work.preset.config()?);
     if let Some(unit) = &work.cameras {
         let path = out.join(unit).join(CAMERAS);
-        let io = |reason| BatchError::Io {
-            path: path.clone(),
-            reason,
-        };
-        let text = read_text(&path).map_err(|error| io(std::io::Error::other(error.to_string())))?;
-        let cameras: SharedCameras = serde_json::from_str(&text).map_err(|error| io(error.into()))?;
+        let failed = |reason: &dyn std::fmt::Display| BatchError::Failed(format!("{}: {reason}", path.display()));
+        let text = read_text(&path).map_err(|error| failed(&error))?;
+        let cameras: SharedCameras = serde_json::from_str(&text).map_err(|error| failed(&error))?;
         // An empty map would have the tile look for itself.
         config.cameras.align = Align::Off;
         config.cameras.shifts_px = cameras.shifts_px;

@@ -7,7 +7,6 @@ use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_objects::{CaptureError, ObjectError};
-use heliosplat_pages::tradeoff::points::PointsError;
 use heliosplat_pages::view::ViewError;
 use heliosplat_products::export::ExportError;
 use heliosplat_products::relight::RelightError;
@@ -91,7 +90,7 @@ macro_rules! always {
     )*};
 }
 
-always!(SessionError => Failed, ConfigError => Input, CaptureError => Input, PointsError => Input);
+always!(SessionError => Failed, ConfigError => Input, CaptureError => Input);
 
 impl From<TrainingError> for CliError {
     fn from(error: TrainingError) -> Self {
@@ -113,20 +112,9 @@ impl From<SatelliteError> for CliError {
             SatelliteError::Raster(error) => error.into(),
             SatelliteError::Evaluate(error) => error.into(),
             SatelliteError::Relight(error) => error.into(),
-            SatelliteError::TooFewViews { .. }
-            | SatelliteError::NoParallax { .. }
-            | SatelliteError::NoContrast { .. }
-            | SatelliteError::Memory { .. }
-            | SatelliteError::SweepMemory { .. }
-            | SatelliteError::Channels { .. }
-            | SatelliteError::Mask(_)
-            | SatelliteError::SceneOfRun { .. }
-            | SatelliteError::OtherScene { .. }
-            | SatelliteError::Adjust { .. }
-            | SatelliteError::RelitBands { .. }
-            | SatelliteError::RelitElsewhere(_) => Self::Input(error.to_string()),
+            SatelliteError::Input(_) | SatelliteError::SceneOfRun { .. } => Self::Input(error.to_string()),
             SatelliteError::Stopped => Self::Interrupted(error.to_string()),
-            SatelliteError::Settings(_) | SatelliteError::CorrectedCamera { .. } => Self::Failed(error.to_string()),
+            SatelliteError::Unwritable(_) => Self::Failed(error.to_string()),
         }
     }
 }
@@ -145,13 +133,8 @@ impl From<BatchError> for CliError {
             BatchError::Scene(error) => error.into(),
             BatchError::Raster(error) => error.into(),
             BatchError::Interrupted(_) => Self::Interrupted(error.to_string()),
-            BatchError::Io { .. } | BatchError::Failed(_) => Self::Failed(error.to_string()),
-            BatchError::Manifest { .. }
-            | BatchError::NoUnit { .. }
-            | BatchError::NotYet { .. }
-            | BatchError::TooLarge { .. }
-            | BatchError::NothingShown { .. }
-            | BatchError::Refused(_) => Self::Input(error.to_string()),
+            BatchError::Failed(_) => Self::Failed(error.to_string()),
+            BatchError::Refused(_) => Self::Input(error.to_string()),
         }
     }
 }
@@ -164,7 +147,7 @@ impl From<ObjectError> for CliError {
             ObjectError::Training(error) => error.into(),
             ObjectError::Run(error) => error.into(),
             ObjectError::Raster(error) => error.into(),
-            ObjectError::Memory { .. } => Self::Input(error.to_string()),
+            ObjectError::Memory(_) => Self::Input(error.to_string()),
             ObjectError::Settings(_) => Self::Failed(error.to_string()),
         }
     }

@@ -30,7 +30,7 @@ pub use uncertainty::Uncertainty;
 use align::Shift;
 use heliosplat::Raster;
 use heliosplat_raster::{GeoRaster, RasterError, dsm_bands};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Water in LAS classes.
 const WATER: f32 = 9.0;
@@ -69,38 +69,12 @@ impl Protocol {
 /// Reason why two rasters cannot be compared.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
+    /// Rasters that cannot be compared, with the remedy.
+    #[error("{0}")]
+    Refused(String),
     /// A raster that cannot be read or placed.
     #[error(transparent)]
     Raster(#[from] RasterError),
-    /// No common ground.
-    #[error("{}: has no known altitude where {} has one; they may be of different places or coordinate systems", prediction.display(), truth.display())]
-    NoOverlap {
-        /// The prediction.
-        prediction: PathBuf,
-        /// The truth.
-        truth: PathBuf,
-    },
-    /// Heights over different surfaces.
-    #[error("{}: its heights are in {name}, not ellipsoidal like the other raster's; convert it first (gdalwarp -t_srs), or use --protocol aligned", path.display())]
-    VerticalDatum {
-        /// The file with the vertical datum.
-        path: PathBuf,
-        /// The coordinate system.
-        name: String,
-    },
-    /// The text with a truth raster's position cannot be read.
-    #[error("{}: expected four numbers (easting, northing, size in pixels, metres per pixel), found none; correct or remove it", .0.display())]
-    RegionText(PathBuf),
-    /// Classes on another grid.
-    #[error("{}: {found} pixels, but the truth has {expected}; classes must lie on the truth's grid", path.display())]
-    ClassGrid {
-        /// The classes.
-        path: PathBuf,
-        /// Size found.
-        found: String,
-        /// Size needed.
-        expected: String,
-    },
 }
 
 impl EvaluateError {
@@ -180,10 +154,11 @@ pub fn evaluate_raster(
     let placement = resample::Placement::new(prediction, &truth)?;
     let moved = |columns: f64, rows: f64| placement.moved(columns, rows);
     let Some((errors, shift)) = register(&moved, &truth.raster, classes.as_ref(), protocol) else {
-        return Err(EvaluateError::NoOverlap {
-            prediction: prediction_path.to_owned(),
-            truth: truth_path.to_owned(),
-        });
+        return Err(EvaluateError::Refused(format!(
+            "{}: has no known altitude where {} has one; they may be of different places or coordinate systems",
+            prediction_path.display(),
+            truth_path.display()
+        )));
     };
     let wanted = wanted_cells(&truth.raster, classes.as_ref(), protocol);
     let mut metrics = DsmMetrics::new(
@@ -273,10 +248,11 @@ fn check_vertical(
         (None, None) => return Ok(()),
     };
     if protocol == Protocol::Raw {
-        return Err(EvaluateError::VerticalDatum {
-            path: path.to_owned(),
-            name: crs.name().to_owned(),
-        });
+        return Err(EvaluateError::Refused(format!(
+            "{}: its heights are in {}, not ellipsoidal like the other raster's; convert it first (gdalwarp -t_srs), or use --protocol aligned",
+            path.display(),
+            crs.name()
+        )));
     }
     warnings.push(format!(
         "{}: its heights are in {}; the mean difference is removed by the protocol",

@@ -41,11 +41,14 @@ pub(super) fn read_classes(path: &Path, truth: &Raster) -> Result<Raster, Evalua
     if (classes.width, classes.height) == (truth.width, truth.height) {
         return Ok(classes);
     }
-    Err(EvaluateError::ClassGrid {
-        path: path.to_owned(),
-        found: format!("{} x {}", classes.width, classes.height),
-        expected: format!("{} x {}", truth.width, truth.height),
-    })
+    Err(EvaluateError::Refused(format!(
+        "{}: {} x {} pixels, but the truth has {} x {}; classes must lie on the truth's grid",
+        path.display(),
+        classes.width,
+        classes.height,
+        truth.width,
+        truth.height
+    )))
 }
 
 /// Airborne DSMs mark missing cells with -9999, -32767 or 1e38 and often forget to declare it.
@@ -63,7 +66,12 @@ fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform, Evaluate
         return Err(RasterError::NotGeoreferenced(path.to_owned()).into());
     }
     let text = heliosplat_raster::bounded::read_text(&text_path).unwrap_or_default();
-    GeoTransform::from_region_text(&text, raster.height).ok_or(EvaluateError::RegionText(text_path))
+    GeoTransform::from_region_text(&text, raster.height).ok_or_else(|| {
+        let text = text_path.display();
+        EvaluateError::Refused(format!(
+            "{text}: expected four numbers (easting, northing, size in pixels, metres per pixel), found none; correct or remove it"
+        ))
+    })
 }
 
 /// UTM zone of a text that has none: the prediction's, or where that is in another system, the zone of its position.

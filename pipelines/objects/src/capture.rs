@@ -90,11 +90,12 @@ impl Capture {
         let needed: u64 = sizes.iter().map(|[cols, rows]| 4 * 4 * (cols * rows) as u64).sum();
         if needed > image_bytes {
             let gib = |bytes: u64| bytes as f64 / f64::from(1 << 30);
-            return Err(CaptureError::TooLarge {
-                folder: path.to_owned(),
-                needed_gib: gib(needed),
-                limit_gib: gib(image_bytes),
-            });
+            return Err(CaptureError(format!(
+                "{}: its images take {:.1} GiB and at most {:.1} GiB are used; give fewer or smaller ones, or more with --memory",
+                path.display(),
+                gib(needed),
+                gib(image_bytes)
+            )));
         }
         let frames: Vec<Frame> = specs
             .into_par_iter()
@@ -195,7 +196,12 @@ fn list(path: &Path) -> Result<Vec<(FrameSpec, Split)>, CaptureError> {
     if single.is_file() {
         return Ok(held_out(transforms::read(&single)?));
     }
-    Err(CaptureError::NoTransforms(path.to_owned()))
+    let remedy = "give a folder that holds one";
+    Err(CaptureError::file(
+        path,
+        "no transforms_train.json or transforms.json here",
+        remedy,
+    ))
 }
 
 /// Every eighth image is held out, the first one first; none of fewer than eight.

@@ -4,62 +4,22 @@ use heliosplat_fitting::run_folder::RunError;
 use heliosplat_fitting::settings::ConfigError;
 use heliosplat_fitting::training::TrainingError;
 use heliosplat_raster::RasterError;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// Reason why a capture cannot be used; one line with the file and the remedy.
+/// Reason why a capture cannot be read, with the file and the remedy.
 #[derive(Debug, thiserror::Error)]
-pub enum CaptureError {
-    /// There is no `transforms_*.json`.
-    #[error("{0}: no transforms_train.json or transforms.json here; give a folder that holds one")]
-    NoTransforms(PathBuf),
-    /// A file that cannot be read.
-    #[error("{path}: {reason}; check that it is there and may be read")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// Error of the system.
-        reason: std::io::Error,
-    },
-    /// A `transforms` file or an image that is not usable.
-    #[error("{path}: {what}; {remedy}")]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// The fault.
-        what: String,
-        /// The remedy.
-        remedy: &'static str,
-    },
-    /// More pixels than fit.
-    #[error(
-        "{folder}: its images take {needed_gib:.1} GiB and at most {limit_gib:.1} GiB are used; give fewer or smaller ones, or more with --memory"
-    )]
-    TooLarge {
-        /// The capture.
-        folder: PathBuf,
-        /// Memory needed, GiB.
-        needed_gib: f64,
-        /// Memory allowed, GiB.
-        limit_gib: f64,
-    },
-}
+#[error("{0}")]
+pub struct CaptureError(pub(crate) String);
 
 impl CaptureError {
-    /// A fault of a file, with its remedy.
-    pub(crate) fn file(path: &Path, what: impl Into<String>, remedy: &'static str) -> Self {
-        Self::File {
-            path: path.to_owned(),
-            what: what.into(),
-            remedy,
-        }
+    /// Fault of a file.
+    pub(crate) fn file(path: &Path, what: impl std::fmt::Display, remedy: &'static str) -> Self {
+        Self(format!("{}: {what}; {remedy}", path.display()))
     }
 
-    /// An error of the system on a file.
+    /// A file that cannot be read.
     pub(crate) fn io(path: &Path) -> impl Fn(std::io::Error) -> Self {
-        move |reason| Self::Io {
-            path: path.to_owned(),
-            reason,
-        }
+        move |reason| Self::file(path, reason, "check that it is there and may be read")
     }
 }
 
@@ -76,17 +36,8 @@ pub enum ObjectError {
     #[error("the configuration cannot be written: {0}")]
     Settings(String),
     /// No room for the Gaussians that training starts from.
-    #[error(
-        "--memory: the images leave no room for {gaussians} Gaussians; give {needed_gib:.2}GiB or more, or fewer with --set start.gaussians={most}"
-    )]
-    Memory {
-        /// Gaussians requested.
-        gaussians: usize,
-        /// Sufficient memory, GiB.
-        needed_gib: f64,
-        /// Gaussians that fit.
-        most: usize,
-    },
+    #[error("{0}")]
+    Memory(String),
     /// The course of a training.
     #[error(transparent)]
     Training(#[from] TrainingError),

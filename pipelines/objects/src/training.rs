@@ -69,11 +69,11 @@ pub fn train(
         let most = (left / BYTES_PER_GAUSSIAN).max(0.0) as usize;
         if most < config.start.gaussians {
             let least = config.start.gaussians as f64 * BYTES_PER_GAUSSIAN + resident;
-            return Err(ObjectError::Memory {
-                gaussians: config.start.gaussians,
-                needed_gib: least / f64::from(1 << 30) + 0.01,
-                most,
-            });
+            return Err(ObjectError::Memory(format!(
+                "--memory: the images leave no room for {} Gaussians; give {:.2}GiB or more, or fewer with --set start.gaussians={most}",
+                config.start.gaussians,
+                least / f64::from(1 << 30) + 0.01
+            )));
         }
         config.train.density.cap = config.train.density.cap.min(most);
     }

@@ -21,40 +21,9 @@ use std::path::{Path, PathBuf};
 /// Why a scene cannot be relit.
 #[derive(Debug, thiserror::Error)]
 pub enum RelightError {
-    /// The sun is below the horizon.
-    #[error(
-        "the sun stands {elevation_deg:.2} degrees above the horizon; relight needs it at {LOWEST_SUN_DEG} degrees or higher"
-    )]
-    Night {
-        /// Its elevation.
-        elevation_deg: f64,
-    },
-    /// A model without light.
-    #[error(
-        "{}: no sun was known in training, so this run cannot be relit; train again with acquisition times: .IMD, DIM_*.XML or .json files beside the images, or time = \"2016-04-23T08:34:00Z\" in scene.toml",
-        folder.display()
-    )]
-    NoLight {
-        /// Folder of the run.
-        folder: PathBuf,
-    },
-    /// A model without the light of day.
-    #[error(
-        "{}: the model comes from a version that did not know how bright the ground is under another sun; train again to relight it",
-        folder.display()
-    )]
-    OldLight {
-        /// Folder of the run.
-        folder: PathBuf,
-    },
-    /// No image of that name.
-    #[error("no image of the run is called {name}; the names are {known}, or nadir")]
-    NoView {
-        /// The name asked for.
-        name: String,
-        /// The names there are.
-        known: String,
-    },
+    /// A sun, a view or a model that cannot be used, with the remedy.
+    #[error("{0}")]
+    Refused(String),
     /// The run cannot be used.
     #[error(transparent)]
     Run(#[from] RunError),
@@ -69,7 +38,7 @@ impl RelightError {
         match self {
             Self::Run(error) => error.is_input_fault(),
             Self::Raster(error) => error.is_input_fault(),
-            Self::Night { .. } | Self::NoLight { .. } | Self::OldLight { .. } | Self::NoView { .. } => true,
+            Self::Refused(_) => true,
         }
     }
 }
@@ -224,12 +193,15 @@ impl<'a> Viewpoint<'a> {
 pub(crate) fn light_of(model: &LoadedModel, sun: &SunPosition) -> Result<Light, RelightError> {
     let elevation_deg = sun.elevation_rad.to_degrees();
     if !elevation_deg.is_finite() || elevation_deg < LOWEST_SUN_DEG {
-        return Err(RelightError::Night { elevation_deg });
+        return Err(RelightError::Refused(format!(
+            "the sun stands {elevation_deg:.2} degrees above the horizon; relight needs it at {LOWEST_SUN_DEG} degrees or higher"
+        )));
     }
     if !model.file.has_light() {
-        return Err(RelightError::NoLight {
-            folder: model.folder.clone(),
-        });
+        return Err(RelightError::Refused(format!(
+            "{}: no sun was known in training, so this run cannot be relit; train again with acquisition times: .IMD, DIM_*.XML or .json files beside the images, or time = \"2016-04-23T08:34:00Z\" in scene.toml",
+            model.folder.display()
+        )));
     }
     let direction = sun.direction_enu();
     Ok(Light::Directional(
@@ -274,7 +246,7 @@ fn mask_of(mut visibility: Raster, shaded_below: f32) -> Raster {
 /// model's colours.
 ///
 /// # Errors
-/// [`RelightError::OldLight`] for a model that does not know these.
+/// [`RelightError`] for a model that does not know these.
 pub(crate) fn composed(
     model: &LoadedModel,
     sun: &SunPosition,
@@ -282,8 +254,11 @@ pub(crate) fn composed(
     camera: &ProjectiveCamera,
     maps: &Maps,
 ) -> Result<Raster, RelightError> {
-    let daylight = model.file.daylight.as_ref().ok_or_else(|| RelightError::OldLight {
-        folder: model.folder.clone(),
+    let daylight = model.file.daylight.as_ref().ok_or_else(|| {
+        let folder = model.folder.display();
+        RelightError::Refused(format!(
+            "{folder}: the model does not state how bright the ground is under another sun; train again to relight it"
+        ))
     })?;
     let (reference, bands) = (model.file.options.reference, model.file.options.bands);
     let mut globals = model.parameters.globals.clone();
@@ -338,15 +313,12 @@ fn exposure(model: &LoadedModel) -> String {
 
 fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, RelightError> {
     let image = model.file.images.iter().find(|image| image.name == view);
-    image.map(camera_of).ok_or_else(|| RelightError::NoView {
-        name: view.into(),
-        known: model
-            .file
-            .images
-            .iter()
-            .map(|image| image.name.as_str())
-            .collect::<Vec<_>>()
-            .join(", "),
+    image.map(camera_of).ok_or_else(|| {
+        let known: Vec<&str> = model.file.images.iter().map(|image| image.name.as_str()).collect();
+        RelightError::Refused(format!(
+            "no image of the run is called {view}; the names are {}, or nadir",
+            known.join(", ")
+        ))
     })
 }
 

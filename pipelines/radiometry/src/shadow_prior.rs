@@ -7,14 +7,13 @@
 
 use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
-use heliosplat_raster::RasterError;
 use heliosplat_raster::file::RasterFile;
 use heliosplat_scene::crop::Crop;
 use heliosplat_scene::indices::{ExcessGreen, NormalisedDifference, VEGETATION_GREEN, VEGETATION_INDEX};
 use heliosplat_scene::{BandKind, SceneImage, Values};
 use heliosplat_stereo::Surface;
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Water index (green against near infrared, McFeeters 1996) from which on a pixel is water.
 const WATER: f32 = 0.4;
@@ -32,26 +31,6 @@ const ROUNDS: usize = 8;
 
 /// Views from which on images need no prior, since they determine the shadows.
 pub const ENOUGH_VIEWS: usize = 8;
-
-/// Reason why a mask cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum MaskError {
-    /// A file that is missing or damaged.
-    #[error("model.shadow_masks: {0}")]
-    File(#[from] RasterError),
-    /// A mask of another size than its image.
-    #[error(
-        "model.shadow_masks: {path} has {mask_px:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow"
-    )]
-    Size {
-        /// The mask.
-        path: PathBuf,
-        /// Its columns and rows.
-        mask_px: (usize, usize),
-        /// Columns and rows of its image.
-        image_px: (usize, usize),
-    },
-}
 
 /// Bands that separate leaves and water.
 struct Bands<'a> {
@@ -221,19 +200,20 @@ pub fn found(
 /// The mask of an image from a folder of masks, cut to its crop: 1 is lit, 0 in shadow, nodata neither.
 ///
 /// # Errors
-/// [`MaskError`] when the file is missing, damaged, or of another size than its image.
-pub fn from_folder(folder: &Path, image: &SceneImage, crop: &Crop) -> Result<Vec<f32>, MaskError> {
+/// When the file is missing, damaged, or of another size than its image.
+pub fn from_folder(folder: &Path, image: &SceneImage, crop: &Crop) -> Result<Vec<f32>, String> {
     let path = folder.join(format!("{}.tif", image.name));
-    let file = RasterFile::open(&path)?;
+    let unreadable = |error: heliosplat_raster::RasterError| format!("model.shadow_masks: {error}");
+    let file = RasterFile::open(&path).map_err(unreadable)?;
     let image_px = (image.pixels.width, image.pixels.height);
     if file.size() != image_px {
-        return Err(MaskError::Size {
-            mask_px: file.size(),
-            path,
-            image_px,
-        });
+        return Err(format!(
+            "model.shadow_masks: {} has {:?} pixels and its image {image_px:?}; a mask covers its image: 1 where it is lit, 0 in shadow",
+            path.display(),
+            file.size()
+        ));
     }
-    let mask = crop.cut(&file.read(file.whole(), &[0])?);
+    let mask = crop.cut(&file.read(file.whole(), &[0]).map_err(unreadable)?);
     Ok(mask.values.into_iter().map(|value| value.clamp(0.0, 1.0)).collect())
 }
 

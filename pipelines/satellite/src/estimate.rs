@@ -123,7 +123,7 @@ impl From<&Survey<'_>> for Extent {
 /// Refuses a scene whose training will not fit into `limit` bytes, before its pixels are read.
 ///
 /// # Errors
-/// [`SatelliteError::Memory`].
+/// Where it does not fit.
 pub fn must_fit_unread(survey: &Survey, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), SatelliteError> {
     let held = PROGRAM_BYTES + 4.0 * survey.bands as f64 * survey.pixels();
     must_fit(estimate_of(&survey.into(), config, held).least_bytes, limit, config)
@@ -190,11 +190,12 @@ pub fn sweep_estimate(survey: &Survey, tile: &TileSurvey, config: &SatelliteConf
 pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), SatelliteError> {
     let gib = |bytes: f64| bytes / f64::from(1 << 30);
     match limit.map(|bytes| bytes as f64) {
-        Some(limit) if needed > limit => Err(SatelliteError::Memory {
-            needed_gib: gib(needed),
-            limit_gib: gib(limit),
-            cell_gsd: config.start.cell_gsd * (needed / limit).sqrt() * 1.05,
-        }),
+        Some(limit) if needed > limit => Err(SatelliteError::Input(format!(
+            "--memory: training needs about {:.2} GiB and {:.2} GiB are allowed; give more, fewer images, or a coarser model with --set start.cell_gsd={:.2}",
+            gib(needed),
+            gib(limit),
+            config.start.cell_gsd * (needed / limit).sqrt() * 1.05
+        ))),
         _ => Ok(()),
     }
 }

@@ -137,10 +137,9 @@ impl FitRequest<'_> {
     fn check_channels(&self) -> Result<(), SatelliteError> {
         let bands = self.scene.bands().len();
         match self.decisions.near_light && 2 * bands + 1 + 3 > MOST_CHANNELS {
-            true => Err(SatelliteError::Channels {
-                bands,
-                most: MOST_CHANNELS,
-            }),
+            true => Err(SatelliteError::Input(format!(
+                "model.near_light: {bands} bands of albedo and as many of near-surface light are more than the {MOST_CHANNELS} channels of the rasteriser; leave it off, or give images of fewer bands"
+            ))),
             false => Ok(()),
         }
     }
@@ -169,7 +168,7 @@ impl FitRequest<'_> {
             if !has_time() || !suns::are_undecided(&swept.found.shadow_suns) {
                 break;
             }
-            let altitude_m = short_fit::altitudes(self, &swept)?;
+            let altitude_m = short_fit::altitudes((scene, config, decisions), self.memory, &swept, session)?;
             if !suns::search_again(scene, &mut swept, &altitude_m) {
                 break;
             }

@@ -36,8 +36,7 @@ impl<'a> GroundViews<'a> {
     /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
     ///
     /// # Errors
-    /// [`SatelliteError::TooFewViews`] when fewer than two do, [`SatelliteError::NoParallax`] when these look from one
-    /// place.
+    /// When fewer than two do, or these look from one place.
     pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, SatelliteError> {
         Self::over(scene, crop::grown(&scene.area, MARGIN_M), images)
     }
@@ -56,7 +55,7 @@ impl<'a> GroundViews<'a> {
             .filter_map(|image| Some((image, Crop::of(image, &area, up_m)?)))
             .unzip();
         if images.len() < 2 {
-            return Err(SatelliteError::TooFewViews { images: images.len() });
+            return Err(SatelliteError::too_few_views(images.len()));
         }
         let ground = Self {
             groups: crop::date_groups(&images),
@@ -79,12 +78,10 @@ impl<'a> GroundViews<'a> {
         if f64::from(base_to_height) >= LEAST_BASE_TO_HEIGHT {
             return Ok(());
         }
-        let [first, second] = views.map(|view| self.images[view].path.clone());
-        Err(SatelliteError::NoParallax {
-            first,
-            second,
-            base_to_height: base_to_height.into(),
-        })
+        let [first, second] = views.map(|view| self.images[view].path.display());
+        Err(SatelliteError::Input(format!(
+            "no parallax: {first} and {second} look from one place (base-to-height ratio {base_to_height:.4}) and no two images of the ground from {LEAST_BASE_TO_HEIGHT} apart; give images from other directions"
+        )))
     }
 
     /// Replaces the suns by others, one for each image; returns whether they group more images into passes.
@@ -111,13 +108,14 @@ impl<'a> GroundViews<'a> {
     /// without any known pixel pass, since they are known to be empty.
     ///
     /// # Errors
-    /// [`SatelliteError::NoContrast`] for the first such image.
+    /// For the first such image.
     pub(super) fn check_contrast(&self, rasters: &[Raster]) -> Result<(), SatelliteError> {
         let flat = self.images.iter().zip(rasters).find(|(_, raster)| is_flat(raster));
         flat.map_or(Ok(()), |(image, _)| {
-            Err(SatelliteError::NoContrast {
-                image: image.path.clone(),
-            })
+            Err(SatelliteError::Input(format!(
+                "{}: the ground that the images have in common has no contrast in it: nearly all of its pixels have one value; take the image out of the scene",
+                image.path.display()
+            )))
         })
     }
 

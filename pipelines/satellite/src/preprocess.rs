@@ -55,8 +55,7 @@ impl<'a> Preprocess<'a> {
     /// Runs the stages.
     ///
     /// # Errors
-    /// [`SatelliteError::TooFewViews`] when too few images show the common ground, [`SatelliteError::NoContrast`] when
-    /// one of them has no contrast there.
+    /// When too few images show the common ground, or one of them has no contrast there.
     pub(super) fn new(
         scene: &'a Scene,
         config: &SatelliteConfig,
@@ -66,7 +65,9 @@ impl<'a> Preprocess<'a> {
         let started = Instant::now();
         let ground = GroundViews::new(scene, scene.training())?;
         let images = ground.images.len();
-        let matching = decisions.matching.ok_or(SatelliteError::TooFewViews { images })?;
+        let matching = decisions
+            .matching
+            .ok_or_else(|| SatelliteError::too_few_views(images))?;
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         tracing::debug!(parameters = ?matching, "matching");
         let part = stage("clouds");
@@ -269,7 +270,7 @@ pub(super) fn log_lowered(lowered: &Lowered) {
 /// The surface that all views of `scene` find together, without training.
 ///
 /// # Errors
-/// [`SatelliteError::TooFewViews`] when too few images show the common ground.
+/// When too few images show the common ground.
 pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) -> Result<Surface, SatelliteError> {
     let decisions = Decisions::of(scene, config);
     Preprocess::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
@@ -279,7 +280,7 @@ pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) ->
 /// widened where the surface touches its limits; one that was stated is kept, which is a warning.
 ///
 /// # Errors
-/// As [`Scene::open`], and [`SatelliteError::TooFewViews`].
+/// As [`Scene::open`] and [`sweep_only`].
 pub fn open_and_sweep(
     index: &Index,
     options: &IngestOptions,

@@ -44,7 +44,12 @@ pub fn measure(model: &LoadedModel, folder: &Path, run: &Path) -> Result<Value, 
         .map(|truth| compare(model, &above, &nadir, truth))
         .collect::<Result<Vec<_>, _>>()?;
     let pairs: Vec<RelitPair> = compared.iter().map(Compared::pair).collect();
-    let scores = score_relit(&pairs).ok_or_else(|| SatelliteError::RelitElsewhere(folder.to_owned()))?;
+    let scores = score_relit(&pairs).ok_or_else(|| {
+        let folder = folder.display();
+        SatelliteError::Input(format!(
+            "{folder}: under one of its suns no pixel is known to the run; truth for relighting is of the run's ground"
+        ))
+    })?;
     draw(&compared, &scores, run)?;
     Ok(value(&compared, &scores))
 }
@@ -69,11 +74,10 @@ fn compare(
     let image = GeoRaster::read(&truth.image)?;
     let (found, expected) = (image.raster.bands, model.file.bands.len());
     if found != expected {
-        return Err(SatelliteError::RelitBands {
-            path: truth.image.clone(),
-            found,
-            expected,
-        });
+        return Err(SatelliteError::Input(format!(
+            "{}: {found} bands, and the run has {expected}; truth for relighting has the bands of the images",
+            truth.image.display()
+        )));
     }
     let mask = GeoRaster::read(&truth.shadow)?;
     let relit = above.relit(&truth.sun)?;

@@ -141,8 +141,7 @@ pub fn cut_of(run: &Path) -> Result<KeptCut, RunError> {
 /// The scene that a run was trained on: the same windows, cameras and scale.
 ///
 /// # Errors
-/// When the run or its scene cannot be read, and [`SatelliteError::OtherScene`] where the scene is not the one that was
-/// trained on.
+/// When the run or its scene cannot be read, and where the scene is not the one that was trained on.
 pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
     let file = load_run(run)?;
     let kept = cut_of(run)?;
@@ -151,9 +150,11 @@ pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
         error,
     };
     let index = Index::open(&file.scene, kept.rpc).map_err(unreadable)?;
-    let other = |difference| SatelliteError::OtherScene {
-        run: run.to_owned(),
-        difference,
+    let other = |difference| {
+        let run = run.display();
+        SatelliteError::Input(format!(
+            "{run}: its scene is not the one that it was trained on: {difference}; restore the scene, or train again"
+        ))
     };
     let cut = kept.again(&index).map_err(other)?;
     let scene = Scene::read(&index, &cut, Vec::new()).map_err(unreadable)?;

@@ -78,7 +78,7 @@ impl SweepPlan {
     /// The plan of a scene within `limit` bytes, if there is a limit.
     ///
     /// # Errors
-    /// [`SatelliteError::SweepMemory`] where no tiles fit.
+    /// Where no tiles fit.
     pub fn of(
         survey: &Survey,
         config: &SatelliteConfig,
@@ -113,11 +113,12 @@ impl SweepPlan {
             }
             let (high, wide) = (cutter.grid.height / rows, cutter.grid.width / cols);
             if high.max(wide) / 2 < LEAST_CORE {
-                return Err(SatelliteError::SweepMemory {
-                    needed_gib: peak_bytes / f64::from(1 << 30),
-                    limit_gib: limit / f64::from(1 << 30),
-                    levels: cutter.model.levels,
-                });
+                return Err(SatelliteError::Input(format!(
+                    "--memory: the smallest tiles of this sweep, of {} altitudes per cell, need about {:.2} GiB and {:.2} GiB are allowed; give more, or a narrower --altitude",
+                    cutter.model.levels,
+                    peak_bytes / f64::from(1 << 30),
+                    limit / f64::from(1 << 30)
+                )));
             }
             if high >= wide {
                 rows += 1;

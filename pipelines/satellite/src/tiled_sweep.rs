@@ -112,7 +112,7 @@ impl TiledSweep<'_> {
             progress.set(index as u64 + 1);
         }
         if pieces.is_empty() {
-            return Err(SatelliteError::TooFewViews { images: 0 });
+            return Err(SatelliteError::too_few_views(0));
         }
         log_lowered(&lowered);
         if let Some(warning) = at_limits.warning(self.survey.altitude_range_m) {
@@ -218,7 +218,7 @@ impl TiledSweep<'_> {
     fn decide(&self) -> Result<Decided, SatelliteError> {
         let mut found: Option<(usize, Decisions, MatchingParameters)> = None;
         let mut shifts_by_image: BTreeMap<String, Vec<[f32; 2]>> = BTreeMap::new();
-        let mut refused = SatelliteError::TooFewViews { images: 0 };
+        let mut refused = SatelliteError::too_few_views(0);
         for area in self.patches() {
             let Some(scene) = self.open(&area)? else { continue };
             let decisions = Decisions::of(&scene, self.config);

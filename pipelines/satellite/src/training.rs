@@ -197,7 +197,8 @@ fn identity(
 ) -> Result<String, SatelliteError> {
     let mut text = identity_of_program();
     let seed = config.train.seed;
-    let config = toml::to_string(config).map_err(|error| SatelliteError::Settings(error.to_string()))?;
+    let config = toml::to_string(config)
+        .map_err(|error| SatelliteError::Unwritable(format!("the configuration cannot be written: {error}")))?;
     let TrainRequest {
         time_budget, memory, ..
     } = request;

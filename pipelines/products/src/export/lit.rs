@@ -246,7 +246,7 @@ fn from_above(model: &LoadedModel, light: Option<(SunPosition, Light)>) -> Resul
 /// covers alone.
 ///
 /// # Errors
-/// [`RelightError::OldLight`].
+/// [`RelightError`] for a model without the light of day.
 fn colours(model: &LoadedModel, lit_by: Option<(SunPosition, Light)>) -> Result<Raster, RelightError> {
     let light = lit_by.map(|(_, light)| light);
     let gaussians = &model.parameters.gaussians;

@@ -64,9 +64,11 @@ pub fn adjust_scene<'a>(
     };
     let adjustment = input
         .adjust(request.model, &|share| progress.set((100.0 * share) as u64))
-        .map_err(|error| SatelliteError::Adjust {
-            scene: scene.source.clone(),
-            error,
+        .map_err(|error| {
+            let scene = scene.source.display();
+            SatelliteError::Input(format!(
+                "{scene}: the cameras cannot be adjusted: {error}; check the overlap and --altitude with `heliosplat inspect`"
+            ))
         })?;
     drop(progress);
     let seconds = begun.elapsed().as_secs_f64();

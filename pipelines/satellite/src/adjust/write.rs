@@ -27,10 +27,7 @@ pub(super) fn cameras(
     for (image, correction) in ground.images.iter().zip(&adjustment.corrections) {
         let size = (image.pixels.width, image.pixels.height);
         let mut corrected = corrected_rpc(&image.window_rpc(), correction, size, heights_m).map_err(|error| {
-            SatelliteError::CorrectedCamera {
-                image: image.path.clone(),
-                error,
-            }
+            SatelliteError::Unwritable(format!("{}: its corrected camera: {error}", image.path.display()))
         })?;
         // Back to the pixel coordinates of the file.
         let (col0, row0) = (image.window.col0 as f64, image.window.row0 as f64);
