@@ -42,7 +42,7 @@ use rayon::prelude::*;
 
 /// Components and settings of the satellite model.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
 pub struct ShadowGsOptions {
     /// Image bands.
     pub bands: usize,

@@ -45,13 +45,26 @@ pub struct RunFile {
     pub config: SatelliteConfig,
 }
 
+/// Settings in runs of earlier builds that decide nothing any more.
+const RETIRED: [(&str, &str); 2] = [("start", "step_opacity"), ("model", "opaqueness_weight")];
+
 impl RunFile {
     /// Content of a `run.toml`.
     ///
     /// # Errors
     /// A sentence with the fault.
     pub fn parse(text: &str) -> Result<Self, String> {
-        toml::from_str(text).map_err(|e| e.message().to_owned())
+        let run = || -> Result<Self, toml::de::Error> {
+            let mut run: toml::Table = toml::from_str(text)?;
+            for (group, setting) in RETIRED {
+                let settings = run.get_mut("config").and_then(|config| config.get_mut(group));
+                settings
+                    .and_then(toml::Value::as_table_mut)
+                    .and_then(|settings| settings.remove(setting));
+            }
+            run.try_into()
+        };
+        run().map_err(|e| e.message().to_owned())
     }
 }
 
@@ -160,4 +173,20 @@ pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
     let scene = Scene::read(&index, &cut, Vec::new()).map_err(unreadable)?;
     kept.check_pixels(&scene.images).map_err(other)?;
     Ok(scene)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_with_settings_that_are_gone_is_read_and_one_with_unknown_settings_is_not() {
+        let run = |settings: &str| {
+            let start = "version = \"0\"\nbuild = \"b\"\npreset = \"fast\"\nseed = 1\nscene = \"s\"\naltitude_range_m = [0.0, 9.0]\nplan = []\ninputs = []";
+            RunFile::parse(&format!("{start}\n{settings}"))
+        };
+        assert!(run("[config.start]\nstep_opacity = 0.35\n[config.model]\nopaqueness_weight = 0.0").is_ok());
+        let fault = run("[config.model]\nopaque = 0.0").expect_err("unknown");
+        assert!(fault.contains("opaque"), "{fault}");
+    }
 }
