@@ -25,6 +25,7 @@ class Rpc:
 
     def __init__(self, camera: _heliosplat.Camera) -> None:
         self._camera = camera
+        self._range: list[tuple[float, float]] | None = None
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Rpc:
@@ -67,7 +68,18 @@ class Rpc:
 
     def project(self, lon: ArrayLike, lat: ArrayLike, height: ArrayLike) -> tuple[Any, Any]:
         """Columns and rows of ground points: degrees, and metres above the ellipsoid. Arrays are broadcast; numbers give numbers."""
+        lons, lats = floats(lon), floats(lat)
+        if lons.size and lats.size and not self._covers(lons, lats) and self._covers(lats, lons):
+            raise _heliosplat.Error("no point lies in the camera's area, but all would with lon and lat swapped: lon comes first")
         return _elementwise(self._camera.project, lon, lat, height)
+
+    def _covers(self, lons: Any, lats: Any) -> bool:
+        """True if every point that is known lies within the range of the camera's polynomials."""
+        if self._range is None:
+            values = self.to_dict()
+            self._range = [(values[f"{name}_offset"], abs(values[f"{name}_scale"])) for name in ("lon", "lat")]
+        (lon, wide), (lat, high) = self._range
+        return bool((np.abs(lons - lon) <= wide).all() and (np.abs(lats - lat) <= high).all())
 
     def localise(self, col: ArrayLike, row: ArrayLike, height: ArrayLike) -> tuple[Any, Any]:
         """Longitudes and latitudes of image points at heights above the ellipsoid; NaN where there is no such point of the ground."""

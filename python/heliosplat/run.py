@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import os
-import shutil
-import subprocess
 import tempfile
+from collections.abc import Iterable
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from . import _heliosplat
 from .grid import Grid, read_geotiff
+from .program import PathLike, Progress, _paths, call
 
 
 class Run:
@@ -79,43 +79,48 @@ class Run:
 
     @property
     def grid_north(self) -> float:
-        """Azimuth of the surface model's upward direction, degrees clockwise from true north: ``grid_north`` of shadows and hours of sun.
+        """Azimuth of the surface model's upward direction, degrees clockwise from true north. Its grids bring it themselves."""
+        return self.dsm.grid_north
 
-        The meridian convergence of UTM at the scene's centre; raises for other coordinate systems.
+    def write_products(self, *, progress: bool | Progress = True, program: PathLike | None = None, **options: Any) -> list[str]:
+        """Writes the products into the folder ``products``, as ``heliosplat products`` does: ``sun="250,35"``, ``geoid="egm96"``; returns
+        their names for :meth:`raster`.
         """
-        epsg = self.surface.epsg
-        zone = (epsg or 0) % 100
-        if epsg is None or epsg // 100 not in (326, 327) or not 1 <= zone <= 60:
-            raise _heliosplat.Error("the surface model is not in UTM: give grid_north yourself")
-        lon, lat, _ = self.origin
-        from_meridian = math.radians((lon - (6 * zone - 183) + 180) % 360 - 180)
-        return math.degrees(math.atan(math.tan(from_meridian) * math.sin(math.radians(lat))))
+        call("products", os.fspath(self.folder), progress=progress, program=program, **options)
+        return self.products
+
+    def _repr_html_(self) -> str:
+        return f"<p><b>{escape(repr(self))}</b><br>{escape(', '.join(self.products))}</p>"
 
     def relight(
-        self, azimuth: float, elevation: float, program: str | os.PathLike[str] | None = None
+        self, azimuth: float, elevation: float, program: PathLike | None = None
     ) -> tuple[Grid, Grid]:
         """The scene from above under another sun, in counts, and the mask of its shadows (1 = in shadow).
 
-        The model is rendered by the program ``heliosplat``, which must be installed: ``program``, else the environment's
-        ``HELIOSPLAT``, else the one on the PATH.
+        The model is rendered by the program ``heliosplat``: ``program``, else as :func:`find_program` finds it.
         """
-        found = shutil.which(program or os.environ.get("HELIOSPLAT") or "heliosplat")
-        if found is None:
-            raise _heliosplat.Error("relight needs the program heliosplat: put it on the PATH, or say where it is by program=")
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "relit.tif"
-            sun = f"{float(azimuth)!r},{float(elevation)!r}"
-            done = subprocess.run(
-                [found, "relight", self.folder, "--sun", sun, "--out", out, "--json"], capture_output=True, text=True
-            )
-            if done.returncode != 0:
-                lines = done.stderr.strip().splitlines() or ["heliosplat relight failed"]
-                raise _heliosplat.Error(lines[-1].removeprefix("error: "))
+            call("relight", os.fspath(self.folder), program=program, sun=(float(azimuth), float(elevation)), out=out)
             return read_geotiff(out), read_geotiff(out.with_name("relit_shadow.tif"))
 
     def __repr__(self) -> str:
         lon, lat, _ = self.origin
         return f"Run({str(self.folder)!r}, {len(self.model['images'])} images around {lon:.4f} E, {lat:.4f} N)"
+
+
+def train(
+    scene: PathLike | Iterable[PathLike],
+    out: PathLike,
+    *,
+    preset: str = "balanced",
+    progress: bool | Progress = True,
+    program: PathLike | None = None,
+    **options: Any,
+) -> Run:
+    """Trains a model of images into the folder ``out``, and opens it."""
+    call("train", *_paths(scene), out=os.fspath(out), preset=preset, progress=progress, program=program, **options)
+    return Run(out)
 
 
 def open_run(folder: str | os.PathLike[str]) -> Run:

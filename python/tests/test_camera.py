@@ -112,6 +112,13 @@ def test_numbers_give_numbers_and_arrays_are_broadcast():
     assert rpc.project(np.zeros(0), 37.58, 700.0)[0].shape == (0,)
 
 
+def test_swapped_coordinates_are_refused_and_points_outside_are_not():
+    rpc = heliosplat.Rpc.from_dict(EXAMPLE)
+    with pytest.raises(heliosplat.Error, match="lon comes first"):
+        rpc.project([37.58, 37.57], 36.91, 700.0)
+    assert np.isfinite(rpc.project(36.99, 37.58, 700.0)).all(), "beside the image"
+
+
 def test_a_camera_survives_its_texts():
     rpc = heliosplat.Rpc.from_dict(EXAMPLE)
     same = heliosplat.Rpc.from_text(rpc.to_rpc_txt())
