@@ -50,13 +50,12 @@ cat >"$work/package/DEBIAN/control" <<CONTROL
 Package: heliosplat
 Version: $version
 Architecture: $architecture
-Maintainer: The heliosplat authors <heliosplat@example.org>
+Maintainer: The heliosplat authors <heliosplat@localhost>
 Installed-Size: $(du -sk "$work/package/usr" | cut -f1)
 Depends: $depends
 Recommends: proj-data
 Section: science
 Priority: optional
-Homepage: https://example.org/heliosplat
 Description: surface models from satellite images, with their shadows explained
  Makes a digital surface model from satellite images of several dates with RPC
  cameras, and images of the same ground under any sun, shadow masks, albedo, a

@@ -10,12 +10,11 @@ export PATH="$HOME/.cargo/bin:$PATH"
 
 marks='not speed'
 [ "${1:-}" = --speed ] && marks=''
-readonly TOOLS=target/python/tools EMPTY=target/python/empty
+readonly EMPTY=target/python/empty
 
 mkdir -p target/python
-rm -rf "$EMPTY" target/wheels
-[ -x "$TOOLS/bin/maturin" ] || { python3 -m venv "$TOOLS" && "$TOOLS/bin/pip" install --quiet --disable-pip-version-check 'maturin>=1.9.4,<2'; }
-"$TOOLS/bin/maturin" build --release --locked --manifest-path python/Cargo.toml --out target/wheels
+rm -rf "$EMPTY"
+scripts/wheel.sh target/wheels
 wheel=$(ls target/wheels/heliosplat-*.whl)
 if unzip -p "$wheel" 'heliosplat/*.so' 2>/dev/null | grep -aq 'libgdal'; then
   echo "the wheel links GDAL" >&2
@@ -29,7 +28,8 @@ python3 -m venv "$EMPTY"
 "$EMPTY/bin/pip" install --quiet --disable-pip-version-check "$wheel[test]" rpcm mypy
 
 if [ -x target/release/heliosplat ]; then
-  export HELIOSPLAT="$PWD/target/release/heliosplat" HELIOSPLAT_TEST_RUN="$PWD/target/python/run"
+  # The one that came with the wheel.
+  export HELIOSPLAT="$PWD/$EMPTY/bin/heliosplat" HELIOSPLAT_TEST_RUN="$PWD/target/python/run"
   if [ ! -d "$HELIOSPLAT_TEST_RUN/products" ]; then
     rm -rf "$HELIOSPLAT_TEST_RUN" target/python/scene
     "$HELIOSPLAT" synth satellite --site tiny --views 4 --seed 1 --out target/python/scene >/dev/null

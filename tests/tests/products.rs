@@ -391,6 +391,8 @@ fn a_run_has_a_page_that_needs_nothing_else() {
         assert!(page.contains(part), "{part}");
     }
     assert!(!page.contains("http") && !page.contains("<script") && !page.contains("<link"));
+    let (surface, _) = page.split_once("<details>").expect("the making is folded away");
+    assert!(surface.contains("EPSG:32637") && surface.contains("./dsm.tif") && !surface.contains("PSNR"));
     let sources = page.matches("src=").count();
     assert!(sources > 8 && sources == page.matches("src=\"data:image/jpeg;base64,").count());
     json(&["report".into(), run().into_os_string()]);

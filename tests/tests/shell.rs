@@ -118,6 +118,16 @@ fn image_files_are_a_scene_and_their_surface_may_be_above_a_geoid() {
         level["surface"]["crs"].as_str().is_some_and(|crs| crs == "EPSG:32637"),
         "{level}"
     );
+    let page = std::fs::read_to_string(out.join("a.html")).expect("a page beside the surface");
+    assert_eq!(level["page"], out.join("a.html").display().to_string());
+    for part in [
+        "EPSG:32637",
+        "above WGS84 ellipsoid",
+        "Number of images that see the ground",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(page.matches("src=\"data:image/jpeg;base64,").count() == 3 && !page.contains("http"));
     let height = |said: &serde_json::Value| said["surface"]["heights_m"][0].as_f64().expect("a height");
     assert!((height(&level) - 700.0).abs() < 10.0, "{level}");
     if heliosplat_raster::geoid::Undulation::new(heliosplat_raster::Geoid::Egm96).is_ok() {

@@ -171,7 +171,7 @@ pub fn of_mosaic(
         );
     }
     let light = models.runs.first().map(PathBuf::as_path);
-    if view::into_folder(folder, view::of_mosaic(folder, light))? {
+    if view::into_folder(folder, view::of_mosaic(folder, light))?.is_some() {
         writer.page(view::FILE, "The surface in a browser, under a sun that can be moved");
     }
     let runs: Vec<&Path> = models.runs.iter().map(PathBuf::as_path).collect();

@@ -167,7 +167,7 @@ fn tile(
             metrics
         }
         TrainOutcome::Trained(trained) => {
-            report::write_both(&run)?;
+            report::write(&run)?;
             trained.ending.check(&run)?;
             trained.metrics
         }
@@ -291,7 +291,7 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
     if work.products.dsm_only {
         mosaic.dsm.write(&path)?;
         outputs.extend(dsm::files("dsm.tif"));
-        if view::into_folder(folder, view::of_mosaic(folder, None))? {
+        if view::into_folder(folder, view::of_mosaic(folder, None))?.is_some() {
             outputs.push(SUN.into());
         }
     } else {

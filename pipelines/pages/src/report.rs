@@ -7,10 +7,11 @@ pub mod mosaic;
 pub mod object;
 mod parts;
 mod relit;
+mod surface;
 
 use crate::page::{calibration, document, picture_of};
-use crate::view::{self, ViewError};
-use heliosplat::timeline::{self, concurrently, stage};
+use crate::view::{self, Exhibit, ViewError};
+use heliosplat::timeline::{self, stage};
 use heliosplat_evaluate::uncertainty::Uncertainty;
 use heliosplat_fitting::run_folder::{RunError, save_metrics};
 use heliosplat_objects::model::is_object_run;
@@ -98,32 +99,34 @@ impl Contents {
     }
 }
 
-/// Writes `report.html` into the folder of a run of a satellite scene, and `calibration.svg` where its DSM states standard
-/// deviations and was compared with truth; returns the path of the page.
+/// Writes the pages of a run of a satellite scene: `sun.html`, then `report.html`, which links it, and `calibration.svg` where its DSM states
+/// standard deviations and was compared with truth; returns the path of the report.
 ///
 /// # Errors
 /// When the folder holds no run, or a file cannot be written.
-pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
+pub fn write(folder: &Path) -> Result<PathBuf, ViewError> {
     let contents = Contents::read(folder)?;
-    let sections = sections(&contents)?;
+    let shown = view::into_folder(folder, view::of_run(folder))?;
     // Last: where it is, the pictures are complete.
-    save(folder, &page(&contents, sections))
+    Ok(save(&folder.join(FILE), &page(&contents, shown.as_ref())?)?)
 }
 
-/// Writes the pages of a run of a satellite scene that was trained now: `sun.html`, then `report.html`, which links it.
+/// Writes the page of a surface model in a file, whatever its source, beside it: `x.html` of `x.tif`; returns its path.
 ///
 /// # Errors
-/// When the folder holds no run, or a file cannot be written.
-pub fn write_both(folder: &Path) -> Result<(), ViewError> {
-    let contents = Contents::read(folder)?;
-    // Only the head of the page asks whether the other one is there.
-    let (sections, shown) = concurrently(
-        || sections(&contents),
-        || view::into_folder(folder, view::of_run(folder)),
-    );
-    shown?;
-    save(folder, &page(&contents, sections?))?;
-    Ok(())
+/// When the file cannot be read, or the page cannot be written.
+pub fn write_of_file(dsm: &Path) -> Result<PathBuf, ViewError> {
+    let mut exhibit = view::of_files(dsm, None)?;
+    exhibit.layers = view::companions(dsm, &exhibit)?;
+    let folder = Folder {
+        path: dsm.parent().unwrap_or(Path::new("")).to_owned(),
+        metrics: Value::Null,
+    };
+    let body = [
+        surface::head(&folder, &exhibit, &[]),
+        surface::maps(&exhibit, &html! {}),
+    ];
+    Ok(save(&dsm.with_extension("html"), &page_of(&exhibit.title, &body))?)
 }
 
 /// Seconds that the pages took, as far as `metrics` say.
@@ -166,15 +169,14 @@ pub fn complete(folder: &Path) -> Result<(), ViewError> {
     }
     match is_object_run(folder) {
         true => object::write(folder).map(|_| ())?,
-        false => write_both(folder)?,
+        false => write(folder).map(|_| ())?,
     }
     Ok(())
 }
 
-fn save(folder: &Path, page: &str) -> Result<PathBuf, RunError> {
-    let path = folder.join(FILE);
-    write_atomically(&path, page.as_bytes())?;
-    Ok(path)
+fn save(path: &Path, page: &str) -> Result<PathBuf, RunError> {
+    write_atomically(path, page.as_bytes())?;
+    Ok(path.to_owned())
 }
 
 /// A page of some sections.
@@ -182,28 +184,27 @@ fn page_of(title: &str, sections: &[Markup]) -> String {
     document(title, &html! { @for section in sections { (section) } })
 }
 
-/// Sections below the head of the page; also draws the calibration plot.
-fn sections(run: &Contents) -> Result<Vec<Markup>, RunError> {
-    let uncertainty = &run.folder.metrics["dsm"]["uncertainty"];
-    if let Ok(uncertainty) = Uncertainty::deserialize(uncertainty) {
-        let path = run.folder.path.join(CALIBRATION);
-        write_atomically(&path, calibration::picture(&uncertainty).as_bytes())?;
+/// The page of a run; also draws the calibration plot into its folder.
+fn page(run: &Contents, shown: Option<&Exhibit>) -> Result<String, RunError> {
+    let folder = &run.folder;
+    let uncertainty = Uncertainty::deserialize(&folder.metrics["dsm"]["uncertainty"]).ok();
+    if let Some(uncertainty) = &uncertainty {
+        let drawn = calibration::draw(uncertainty, |chart| chart.file());
+        write_atomically(&folder.path.join(CALIBRATION), drawn.as_bytes())?;
     }
-    Ok(vec![
-        parts::surface(&run.folder),
-        parts::views(run),
+    let sections = [
+        parts::head(run, shown),
+        html! { @if let Some(shown) = shown { (surface::maps(shown, &html! {})) } },
+        parts::lowered(folder),
+        surface::files(folder),
         change::changes(run),
-        relit::relit(&run.folder),
-        parts::curves(&run.folder),
-        parts::accuracy(&run.folder),
-        parts::plan(run),
-        parts::costs(run),
-    ])
-}
-
-fn page(run: &Contents, mut sections: Vec<Markup>) -> String {
-    sections.insert(0, parts::head(run));
-    page_of(&run.folder.name(), &sections)
+        parts::accuracy(folder, uncertainty.as_ref()),
+        relit::relit(folder),
+        parts::views(run),
+        parts::making(run),
+    ];
+    let title = shown.map_or_else(|| folder.name(), |shown| shown.title.clone());
+    Ok(page_of(&title, &sections))
 }
 
 #[cfg(test)]

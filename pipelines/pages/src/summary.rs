@@ -1,6 +1,7 @@
 //! The results of a batch: tables for people (terminal, HTML) and for machines (CSV, JSON).
 
 use crate::page::{self, MIB, document};
+use crate::report::FILE as REPORT;
 use maud::{Markup, html};
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -160,6 +161,7 @@ pub fn page(rows: &[Row]) -> String {
             (rows.len()) " units: " (count(&State::is_done)) " finished, " (count(&State::is_lost)) " failed, "
             (count(&|state| !state.is_final())) " not done."
         }
+        (tile_maps(rows))
         div.wide { table {
             tr {
                 th { "unit" } th.words { "kind" } th.words { "state" } th { "time, s" } th { "peak memory, MiB" } th { "estimated, MiB" }
@@ -168,7 +170,7 @@ pub fn page(rows: &[Row]) -> String {
             @for row in rows {
                 @let [seconds, peak, mae, completeness] = numbers(row);
                 tr.failed[row.state == State::Failed].blocked[row.state == State::Blocked] {
-                    td { (row.unit) }
+                    td { (linked(row)) }
                     td.words { (row.kind) }
                     td.words { (row.state.name()) @if let Some(error) = &row.error { ": " (error) } }
                     td { (seconds) }
@@ -183,6 +185,69 @@ pub fn page(rows: &[Row]) -> String {
         p.faint { "heliosplat " (env!("CARGO_PKG_VERSION")) ". MAE: mean absolute error against truth, protocol raw." }
     };
     document("Batch", &body)
+}
+
+/// Address of a finished unit's page, seen from the batch's folder.
+fn address(row: &Row) -> Option<String> {
+    let within = match row.kind {
+        "mosaic" => "",
+        _ if row.metrics.get("gaussians").is_some() || row.metrics.pointer("/train").is_some() => "run/",
+        _ => return None,
+    };
+    row.state.is_done().then(|| format!("./{}/{within}{REPORT}", row.unit))
+}
+
+fn linked(row: &Row) -> Markup {
+    html! {
+        @match address(row) {
+            Some(address) => a href=(address) { (row.unit) },
+            None => (row.unit),
+        }
+    }
+}
+
+/// Row and column of a tile: `.../tile-r3c0`.
+fn place(unit: &str) -> Option<(&str, u32, u32)> {
+    let (mosaic, tile) = unit.rsplit_once("/tile-r")?;
+    let (row, column) = tile.split_once('c')?;
+    Some((mosaic, row.parse().ok()?, column.parse().ok()?))
+}
+
+/// Each mosaic's tiles in their places, coloured by state, with links to their pages.
+fn tile_maps(rows: &[Row]) -> Markup {
+    const SIDE: u32 = 28;
+    let placed: Vec<_> = rows.iter().filter_map(|row| Some((place(&row.unit)?, row))).collect();
+    let mut mosaics: Vec<&str> = placed.iter().map(|((mosaic, ..), _)| *mosaic).collect();
+    mosaics.dedup();
+    html! {
+        div.grid {
+            @for mosaic in mosaics {
+                @let tiles = || placed.iter().filter(move |((of, ..), _)| *of == mosaic);
+                @let width = SIDE * (1 + tiles().map(|((_, _, column), _)| *column).max().unwrap_or(0));
+                @let height = SIDE * (1 + tiles().map(|((_, row, _), _)| *row).max().unwrap_or(0));
+                figure {
+                    svg.tiles viewBox=(format_args!("0 0 {width} {height}")) style={ "max-width:" (width) "px" } role="img" aria-label={ "Tiles of " (mosaic) } {
+                        @for ((_, row, column), unit) in tiles() {
+                            a href=[address(unit)] {
+                                rect class=(class(unit.state)) x=(SIDE * column + 1) y=(SIDE * row + 1) width=(SIDE - 2) height=(SIDE - 2) {
+                                    title { (unit.unit) ": " (unit.state.name()) }
+                                }
+                            }
+                        }
+                    }
+                    figcaption { (mosaic) ", north up: " span.key-done { "finished" } ", " span.key-failed { "failed" } ", grey not done" }
+                }
+            }
+        }
+    }
+}
+
+fn class(state: State) -> &'static str {
+    match state {
+        State::Done | State::Skipped => "done",
+        State::Failed | State::Blocked => "lost",
+        State::Pending | State::Running => "open",
+    }
 }
 
 /// Height steps at the tile boundaries of the mosaics.
@@ -215,6 +280,35 @@ fn borders(rows: &[Row]) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn tiles_stand_in_their_places_and_finished_ones_have_links() {
+        let row = |unit: &str, kind, state| Row {
+            unit: unit.into(),
+            kind,
+            state,
+            seconds: None,
+            peak_rss_bytes: None,
+            mem_mb: 0,
+            mae_m: None,
+            completeness: None,
+            log: String::new(),
+            error: None,
+            metrics: serde_json::json!({"gaussians": 7}),
+        };
+        let page = page(&[
+            row("a/b/c/tile-r0c1", "tile", State::Done),
+            row("a/b/c/tile-r2c0", "tile", State::Failed),
+            row("a/b/c/mosaic", "mosaic", State::Skipped),
+        ]);
+        assert!(page.contains("viewBox=\"0 0 56 84\""), "two columns, three rows");
+        assert!(page.contains("<a href=\"./a/b/c/tile-r0c1/run/report.html\"><rect class=\"done\" x=\"29\" y=\"1\""));
+        assert!(
+            page.contains("<a><rect class=\"lost\" x=\"1\" y=\"57\""),
+            "no page of what failed"
+        );
+        assert!(page.contains("<a href=\"./a/b/c/mosaic/report.html\">a/b/c/mosaic</a>"));
+    }
 
     #[test]
     fn what_failed_stands_in_every_table_and_cannot_break_them() {

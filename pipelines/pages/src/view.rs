@@ -21,7 +21,9 @@ pub use exhibit::{Exhibit, LightTable, TracedDate};
 pub use layer::{Layer, Ramp};
 pub use of_files::of_files;
 pub use of_mosaic::of_mosaic;
+pub(crate) use of_run::companions;
 pub use of_run::of_run;
+pub(crate) use place::Place;
 
 use crate::page::MOSAIC_FILE;
 use heliosplat_evaluate::EvaluateError;
@@ -104,7 +106,7 @@ pub fn of_folder(folder: &Path) -> Result<Exhibit, ViewError> {
 ///
 /// # Errors
 /// When no height is known, or the file cannot be written.
-pub fn write(exhibit: Exhibit, path: &Path) -> Result<Written, ViewError> {
+pub fn write(exhibit: &Exhibit, path: &Path) -> Result<Written, ViewError> {
     let exhibit = exhibit.reduced();
     let size = (exhibit.altitude.width, exhibit.altitude.height);
     let page = document::page(&exhibit)?;
@@ -116,18 +118,22 @@ pub fn write(exhibit: Exhibit, path: &Path) -> Result<Written, ViewError> {
     })
 }
 
-/// Writes the page of what is to be shown into the folder of its run or mosaic, where `report.html` looks for it; whether it did. A
-/// surface without any known height gets none, and that is said.
+/// Writes the page of a gathered surface into the folder of its run or mosaic, and returns the surface. One without any known height gets
+/// no page and a warning.
 ///
 /// # Errors
 /// When a file could not be read, or the page cannot be written.
-pub fn into_folder(folder: &Path, exhibit: Result<Exhibit, ViewError>) -> Result<bool, ViewError> {
-    match exhibit.and_then(|exhibit| write(exhibit, &folder.join(FILE))) {
+pub fn into_folder(folder: &Path, exhibit: Result<Exhibit, ViewError>) -> Result<Option<Exhibit>, ViewError> {
+    match exhibit {
         Err(error @ ViewError::Nothing { .. }) => {
             tracing::warn!("no {FILE}: {error}");
-            Ok(false)
+            Ok(None)
         }
-        other => other.map(|_| true),
+        other => {
+            let exhibit = other?;
+            write(&exhibit, &folder.join(FILE))?;
+            Ok(Some(exhibit))
+        }
     }
 }
 

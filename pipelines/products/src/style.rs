@@ -17,12 +17,30 @@ const CUT: f64 = 0.02;
 const DISPLAY_GAMMA: f32 = 2.2;
 
 /// From low to high ground.
-const GROUND: [&str; 5] = ["#2c5e4a", "#8fae6b", "#e8dca5", "#b8855a", "#f7f4ef"];
-/// From no sun to the most of it.
-const SUN: [&str; 5] = ["#1b1b4d", "#5e3c8b", "#c0527f", "#f28e55", "#fdf3b0"];
+pub const GROUND: [&str; 5] = ["#2c5e4a", "#8fae6b", "#e8dca5", "#b8855a", "#f7f4ef"];
+/// From little to much of something, such as hours of sun.
+pub const SUN: [&str; 5] = ["#1b1b4d", "#5e3c8b", "#c0527f", "#f28e55", "#fdf3b0"];
 
 /// From what fell to what rose.
-const FELL_AND_ROSE: [&str; 5] = ["#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b"];
+pub const FELL_AND_ROSE: [&str; 5] = ["#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b"];
+
+/// The colour at a share of the way through `colours`, each `#rrggbb`.
+pub fn colour(colours: &[&str], share: f32) -> [u8; 3] {
+    let last = colours.len().saturating_sub(1);
+    let at = share.clamp(0.0, 1.0) * last as f32;
+    let channel = |place: usize, channel: usize| {
+        let digits = colours
+            .get(place.min(last))
+            .and_then(|text| text.get(2 * channel + 1..2 * channel + 3));
+        f32::from(
+            digits
+                .and_then(|digits| u8::from_str_radix(digits, 16).ok())
+                .unwrap_or(0),
+        )
+    };
+    let place = at as usize;
+    [0, 1, 2].map(|c| (channel(place, c) + at.fract() * (channel(place + 1, c) - channel(place, c))).round() as u8)
+}
 
 /// Style of a raster layer, with the range of its values.
 #[derive(Debug, Clone, PartialEq)]
@@ -250,6 +268,14 @@ fn joined(ranges: [[f32; 2]; 3]) -> [f32; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_colour_lies_between_its_neighbours() {
+        assert_eq!(colour(&["#000000", "#ff8040"], 0.5), [128, 64, 32]);
+        assert_eq!(colour(&GROUND, -1.0), [0x2c, 0x5e, 0x4a]);
+        assert_eq!(colour(&GROUND, 2.0), [0xf7, 0xf4, 0xef]);
+        assert_eq!(colour(&[], 0.5), [0; 3]);
+    }
 
     #[test]
     fn no_place_in_a_template_stays_open_and_names_of_users_stay_text() {

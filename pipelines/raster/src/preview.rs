@@ -9,7 +9,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 /// Colour of unknown cells in pictures.
-const UNKNOWN: Rgb<u8> = Rgb([40, 40, 48]);
+pub const UNKNOWN: Rgb<u8> = Rgb([40, 40, 48]);
 
 /// Writes a picture as PNG, whole or not at all.
 ///

@@ -58,7 +58,7 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
     let TrainOutcome::Trained(run) = train(&scene, &ingest, &config, &request, session)? else {
         return Err(CliError::Failed(format!("{}: trained before", run_folder.display())));
     };
-    report::write_both(&run_folder)?;
+    report::write(&run_folder)?;
     run.ending.check(&run_folder)?;
     let metrics = run.metrics;
     let evening = SunPosition::from_degrees(250.0, 20.0);

@@ -54,7 +54,7 @@ pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result
                     .into(),
             ));
         };
-        write_atomically(path, calibration::picture(uncertainty).as_bytes())?;
+        write_atomically(path, calibration::draw(uncertainty, |chart| chart.file()).as_bytes())?;
     }
     Ok(())
 }

@@ -69,7 +69,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             (metrics, " (finished before)")
         }
         TrainOutcome::Trained(mut run) => {
-            add_report(&args.out, &mut run.metrics, || report::write_both(&args.out))?;
+            add_report(&args.out, &mut run.metrics, || report::write(&args.out))?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }
@@ -157,13 +157,14 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         surface = surface.above(geoid)?;
     }
     surface.write(&args.out)?;
+    let page = report::write_of_file(&args.out)?;
     drop(part);
     let [share, filled] = [known, filled].map(|cells| cells as f64 / surface.raster.plane_len().max(1) as f64);
     let (width, height) = (surface.grid.width, surface.grid.height);
     let crs = surface.grid.crs.name().to_owned();
     let facts = surface.facts(gsd_m);
     let mut said = json!({
-        "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share, "filled": filled, "surface": facts
+        "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": share, "filled": filled, "surface": facts, "page": page
     });
     if let Some((memory, warnings)) = swept {
         said["tiles"] = json!(1);

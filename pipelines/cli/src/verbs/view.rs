@@ -40,7 +40,7 @@ pub(crate) fn run(args: &ViewArgs, json: bool) -> Result<Outcome, CliError> {
         (None, None) => return Err(CliError::Input("view: give a RUN, or --dsm FILE".into())),
     };
     let cells = exhibit.altitude.plane_len();
-    let written = view::write(exhibit, args.out.as_ref().unwrap_or(&beside))?;
+    let written = view::write(&exhibit, args.out.as_ref().unwrap_or(&beside))?;
     let opened = args.out.is_none() && !json && open(&written.path);
     let (width, height) = written.size;
     Ok(Outcome {

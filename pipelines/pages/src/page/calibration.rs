@@ -3,8 +3,8 @@
 use super::chart::{Axis, Chart, Line, Scale, range};
 use heliosplat_evaluate::uncertainty::{Group, Uncertainty};
 
-/// An SVG file: stated standard deviation across, true error up, both logarithmic; on the dashed diagonal they agree.
-pub fn picture(uncertainty: &Uncertainty) -> String {
+/// Draws the plot with `draw`: stated standard deviation across, true error up, both logarithmic; on the dashed diagonal they agree.
+pub fn draw<T>(uncertainty: &Uncertainty, draw: impl Fn(&Chart) -> T) -> T {
     let groups = &uncertainty.groups;
     let values = groups.iter().flat_map(|g| [g.expected_m, g.rmse_m, g.median_m]);
     let (least, most) = range(values.chain([1.0]).filter(|v| *v > 0.0));
@@ -27,7 +27,7 @@ pub fn picture(uncertainty: &Uncertainty) -> String {
         100.0 * uncertainty.within_one,
         100.0 * uncertainty.within_two
     );
-    let chart = Chart {
+    draw(&Chart {
         size: (472.0, 486.0),
         title: "Height error of ten equal groups of cells, m",
         note: &note,
@@ -35,6 +35,7 @@ pub fn picture(uncertainty: &Uncertainty) -> String {
         up: axis(""),
         reference: Some([(low, low), (high, high)]),
         lines: &[line("RMSE", |g| g.rmse_m), line("median error", |g| g.median_m)],
+        dots: &[],
     };
     chart.file()
 }
@@ -57,14 +58,17 @@ mod tests {
             within_two: 0.9,
             groups: vec![group(0.1, 0.0), group(0.5, 0.4), group(3.0, 2.0)],
         };
-        let drawn = picture(&uncertainty);
+        let drawn = draw(&uncertainty, |chart| chart.file());
         // The diagonal, and a line each for the two errors.
         assert_eq!(drawn.matches("<polyline").count(), 3);
         assert!(drawn.contains("RMSE") && drawn.contains("within one deviation 50 %") && !drawn.contains("NaN"));
-        let of_nothing = picture(&Uncertainty {
-            groups: Vec::new(),
-            ..uncertainty
-        });
+        let of_nothing = draw(
+            &Uncertainty {
+                groups: Vec::new(),
+                ..uncertainty
+            },
+            |chart| chart.file(),
+        );
         assert!(!of_nothing.contains("NaN") && !of_nothing.contains("inf"));
     }
 }

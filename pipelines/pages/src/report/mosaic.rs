@@ -2,10 +2,11 @@
 //! the mosaic's folder and those of the tiles beside it.
 
 use super::parts::{self, SURFACE_PX, figure, gallery, keys};
-use super::{Folder, page_of, save};
+use super::{Folder, page_of, save, surface};
 use crate::page::{MIB, MOSAIC_FILE, number};
+use crate::view::{self, Exhibit, ViewError};
 use heliosplat_fitting::run_folder::RunError;
-use image::{Rgb, RgbImage};
+use image::RgbImage;
 use maud::{Markup, html};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -18,8 +19,6 @@ const TILE_PX: u32 = 260;
 const SHOWN: usize = 40;
 /// Most rows of a table.
 const ROWS: usize = 400;
-/// Colour of the lines between tiles.
-const LINE: Rgb<u8> = Rgb([230, 80, 30]);
 
 /// A tile of the mosaic.
 struct Tile {
@@ -35,9 +34,9 @@ struct Tile {
 ///
 /// # Errors
 /// When the folder holds none, or the page cannot be written.
-pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
+pub fn write(folder: &Path) -> Result<PathBuf, ViewError> {
     if !folder.join(MOSAIC_FILE).is_file() {
-        return Err(RunError::NotARun(folder.to_owned()));
+        return Err(RunError::NotARun(folder.to_owned()).into());
     }
     let mosaic = Folder::read(folder, MOSAIC_FILE)?;
     let tiles = tiles(&mosaic)?;
@@ -50,17 +49,28 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
         .filter_map(|part| Some(part.file_name()?.to_string_lossy().into_owned()))
         .collect();
     title.reverse();
+    let shown = match view::of_mosaic(folder, None) {
+        Err(ViewError::Nothing { .. }) => None,
+        other => Some(other?),
+    };
     let sections = [
-        parts::sun_page(&mosaic),
-        head(&mosaic, &tiles),
-        surface(&mosaic, &tiles),
+        head(&mosaic, &tiles, shown.as_ref()),
+        html! { @if let Some(shown) = &shown { (surface::maps(shown, &borders_of(&tiles, shown))) } },
+        figure(
+            mosaic.picture("pictures/relit.png"),
+            SURFACE_PX,
+            "Relit with the requested sun",
+        ),
+        surface::files(&mosaic),
         dates(&mosaic),
         borders(&mosaic),
-        parts::accuracy(&mosaic),
+        parts::accuracy(&mosaic, None),
         table(&tiles),
-        products(&mosaic),
     ];
-    save(folder, &page_of(&title.join(" / "), &sections))
+    Ok(save(
+        &folder.join(super::FILE),
+        &page_of(&title.join(" / "), &sections),
+    )?)
 }
 
 fn tiles(mosaic: &Folder) -> Result<Vec<Tile>, RunError> {
@@ -85,26 +95,13 @@ fn tiles(mosaic: &Folder) -> Result<Vec<Tile>, RunError> {
     Ok(tiles)
 }
 
-fn head(mosaic: &Folder, tiles: &[Tile]) -> Markup {
+fn head(mosaic: &Folder, tiles: &[Tile], shown: Option<&Exhibit>) -> Markup {
     let number = |pointer: &str| mosaic.number(pointer);
-    let gsd_m = number("/gsd_m").unwrap_or(0.0);
-    let side = |key: &str| number(key).map(|cells| cells * gsd_m);
-    let all = |pointer: &str| {
-        tiles
-            .iter()
-            .filter_map(|tile| tile.stamp.number(pointer))
-            .collect::<Vec<_>>()
-    };
-    let memory = all("/peak_rss_bytes").into_iter().reduce(f64::max);
-    keys(&[
-        ("DSM mean absolute error, raw", number("/dsm/mae_m"), 3, "m"),
-        ("DSM median error", number("/dsm/median_m"), 3, "m"),
-        (
-            "DSM completeness",
-            number("/completeness").map(|share| 100.0 * share),
-            1,
-            "%",
-        ),
+    let all = |pointer: &'static str| tiles.iter().filter_map(move |tile| tile.stamp.number(pointer));
+    let memory = all("/peak_rss_bytes").reduce(f64::max);
+    let figures = [
+        ("mean absolute height error, raw", number("/dsm/mae_m"), 3, "m"),
+        ("median height error", number("/dsm/median_m"), 3, "m"),
         (
             "mean height step across tile boundaries",
             number("/seams/border/mean_m"),
@@ -112,49 +109,23 @@ fn head(mosaic: &Folder, tiles: &[Tile]) -> Markup {
             "m",
         ),
         ("mean height step elsewhere", number("/seams/interior/mean_m"), 3, "m"),
-        ("extent west to east", side("/width"), 0, "m"),
-        ("extent south to north", side("/height"), 0, "m"),
         ("tiles", number("/tiles"), 0, ""),
-        ("total time of tiles", Some(all("/seconds").iter().sum()), 0, "s"),
+        ("total time of tiles", Some(all("/seconds").sum()), 0, "s"),
         ("peak memory of a tile", memory.map(|bytes| bytes / MIB), 0, "MiB"),
-    ])
+    ];
+    shown.map_or_else(|| keys(&figures), |shown| surface::head(mosaic, shown, &figures))
 }
 
-/// The surface without and with the tile boundaries, its errors, its albedo.
-fn surface(mosaic: &Folder, tiles: &[Tile]) -> Markup {
-    let surface = mosaic.picture("dsm.png");
-    let outlined = surface.clone().filter(|_| tiles.len() > 1).map(|mut picture| {
-        tiles.iter().for_each(|tile| outline(&mut picture, tile.core));
-        picture
-    });
-    let show = |name: &str, caption: &str| figure(mosaic.picture(name), SURFACE_PX, caption);
-    let figures = html! {
-        (figure(surface, SURFACE_PX, "DSM, hillshade with light from the north-west"))
-        (figure(outlined, SURFACE_PX, "The same with the tile boundaries"))
-        (show("error.png", "Height errors: blue too low, red too high"))
-        (show("pictures/albedo.png", "Albedo, nadir view"))
-        (show("pictures/relit.png", "Relit with the requested sun"))
-    };
-    gallery("Surface", "grid", &figures)
-}
-
-/// Draws the outline of a tile's core; thick enough to be seen when the picture is made small.
-fn outline(picture: &mut RgbImage, [columns, rows]: [[u32; 2]; 2]) {
-    let (width, height) = picture.dimensions();
-    let thick = width.max(height).div_ceil(SURFACE_PX);
-    let mut fill = |[left, right]: [u32; 2], [top, bottom]: [u32; 2]| {
-        for row in top..bottom.min(height) {
-            for col in left..right.min(width) {
-                picture.put_pixel(col, row, LINE);
+/// The borders of the tiles over the surface.
+fn borders_of(tiles: &[Tile], shown: &Exhibit) -> Markup {
+    html! {
+        svg viewBox=(format_args!("0 0 {} {}", shown.altitude.width, shown.altitude.height)) preserveAspectRatio="none" {
+            @for Tile { core: [[left, right], [top, bottom]], name, .. } in tiles {
+                rect x=(left) y=(top) width=(right.saturating_sub(*left)) height=(bottom.saturating_sub(*top)) vector-effect="non-scaling-stroke" {
+                    title { (name) }
+                }
             }
         }
-    };
-    let [[left, right], [top, bottom]] = [columns, rows];
-    for at in [left, right.saturating_sub(thick)] {
-        fill([at, at.saturating_add(thick)], rows);
-    }
-    for at in [top, bottom.saturating_sub(thick)] {
-        fill(columns, [at, at.saturating_add(thick)]);
     }
 }
 
@@ -251,22 +222,4 @@ fn picture(tile: &Tile) -> Option<RgbImage> {
     tile.stamp
         .picture("run/dsm.png")
         .or_else(|| tile.stamp.picture("dsm.png"))
-}
-
-/// Links to the products beside the page.
-fn products(mosaic: &Folder) -> Markup {
-    let mut names: Vec<String> = std::fs::read_dir(&mosaic.path)
-        .into_iter()
-        .flatten()
-        .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .filter(|name| [".tif", ".laz", "item.json"].iter().any(|end| name.ends_with(end)) && !name.starts_with('.'))
-        .collect();
-    names.sort_unstable();
-    html! {
-        @if !names.is_empty() {
-            h2 { "Files" }
-            p { @for (place, name) in names.iter().enumerate() { @if place > 0 { ", " } a href={ "./" (name) } { (name) } } }
-        }
-    }
 }

@@ -42,7 +42,7 @@ pub fn of(folder: &Path, model: &ObjectModel, run: &ObjectRun) -> Result<PathBuf
         plan(run),
         costs(&measured, run),
     ];
-    save(folder, &page_of(&measured.name(), &sections))
+    save(&folder.join(super::FILE), &page_of(&measured.name(), &sections))
 }
 
 fn head(measured: &Folder, run: &ObjectRun) -> Markup {

@@ -1,9 +1,10 @@
 //! The sections of a report, from top to bottom; most of them serve runs, objects and mosaics alike.
 
-use super::{Contents, Folder};
+use super::{Contents, Folder, surface};
 use crate::page::chart::{Line, lines, lines_within};
-use crate::page::{MIB, inline_picture, number, plain, section};
-use crate::view;
+use crate::page::{MIB, calibration, inline_picture, number, plain, section};
+use crate::view::Exhibit;
+use heliosplat_evaluate::uncertainty::Uncertainty;
 use heliosplat_products::model::ModelImage;
 use heliosplat_products::set::date_of;
 use heliosplat_scene::Split;
@@ -47,36 +48,34 @@ pub(super) fn origin(scene: &std::path::Path, preset: &str, seed: u64, version: 
     html! { p.faint { (scene.display().to_string()) " · preset " (preset) " · seed " (seed) " · heliosplat " (version) } }
 }
 
-/// A link to the page with the sun, where there is one.
-pub(super) fn sun_page(folder: &Folder) -> Markup {
-    html! {
-        @if folder.path.join(view::FILE).is_file() {
-            p { a href={ "./" (view::FILE) } { "Move the sun over this surface" } }
-        }
-    }
-}
-
-/// Origin of the run, and its main metrics.
-pub(super) fn head(run: &Contents) -> Markup {
+/// The surface's own figures, and those that truth and the images add.
+pub(super) fn head(run: &Contents, shown: Option<&Exhibit>) -> Markup {
     let measured = &run.folder;
     let protocol = measured.metrics.pointer("/dsm/protocol").and_then(Value::as_str);
-    let mae = format!("DSM mean absolute error, {}", protocol.unwrap_or("raw"));
+    let mae = format!("mean absolute height error, {}", protocol.unwrap_or("raw"));
     let number = |pointer: &str| measured.number(pointer);
     let percent = |pointer: &str| number(pointer).map(|share| 100.0 * share);
+    let mut dates: Vec<String> = run.model.images.iter().map(date_of).collect();
+    let images = dates.len();
+    dates.sort_unstable();
+    dates.dedup();
+    let more = [
+        (mae.as_str(), number("/dsm/mae_m"), 3, "m"),
+        ("median height error", number("/dsm/median_m"), 3, "m"),
+        ("of the truth's cells known", percent("/dsm/completeness"), 1, "%"),
+        ("shadow accuracy", percent("/shadow/accuracy"), 1, "%"),
+    ];
     html! {
-        (origin(&run.run.scene, &run.run.preset, run.run.seed, &run.run.version))
-        (sun_page(measured))
-        (keys(&[
-            (&mae, number("/dsm/mae_m"), 3, "m"),
-            ("DSM median error", number("/dsm/median_m"), 3, "m"),
-            ("DSM completeness", percent("/dsm/completeness"), 1, "%"),
-            ("shadow accuracy", percent("/shadow/accuracy"), 1, "%"),
-            ("PSNR of training images", number("/train/psnr"), 2, "dB"),
-            ("PSNR of held-out images", number("/test/psnr"), 2, "dB"),
-            ("time", measured.seconds(), 1, "s"),
-            ("peak memory", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
-            ("Gaussians", number("/gaussians"), 0, ""),
-        ]))
+        p.faint {
+            (images) " images"
+            @if let ([first, .., last], true) = (&dates[..], run.model.images.iter().any(|image| image.time.is_some())) {
+                " on " (dates.len()) " dates from " (first) " to " (last)
+            } @else if let [date] = &dates[..] { " of " (date) }
+        }
+        @match shown {
+            Some(shown) => (surface::head(measured, shown, &more)),
+            None => (keys(&more)),
+        }
     }
 }
 
@@ -104,26 +103,12 @@ pub(super) fn gallery(heading: &str, class: &str, figures: &Markup) -> Markup {
     }
 }
 
-/// Hillshades of the surface, and the map of its errors.
-pub(super) fn surface(run: &Folder) -> Markup {
-    let show = |name: &str, caption: &str| figure(run.picture(name), SURFACE_PX, caption);
-    let figures = html! {
-        (show("dsm.png", "DSM, hillshade with light from the north-west"))
-        (show("error.png", "Height errors: blue too low, red too high"))
-        (show("start.png", "Initial surface, before training"))
-    };
-    html! {
-        (gallery("Surface", "grid", &figures))
-        (lowered(run))
-    }
-}
-
 /// Area of the initial surface that was lowered; empty if there is none.
-fn lowered(run: &Folder) -> Markup {
+pub(super) fn lowered(run: &Folder) -> Markup {
     let lowered = |key: &str| run.number(&format!("/lowered/{key}")).filter(|&count| count > 0.0);
     html! {
         @if let Some(parts) = lowered("parts") {
-            p { (number(Some(parts), 0)) " shaded courtyards or alleys (" (number(lowered("area_m2"), 0)) " m²) were reopened by their light." }
+            p { "Shaded courtyards and alleys that were reopened after matching: " (number(Some(parts), 0)) ", " (number(lowered("area_m2"), 0)) " m²." }
         }
     }
 }
@@ -214,8 +199,8 @@ fn several_points(lines: &[Line]) -> Vec<Line> {
     lines.iter().filter(|line| line.points.len() > 1).cloned().collect()
 }
 
-/// Height errors against truth: their distribution, and by class.
-pub(super) fn accuracy(run: &Folder) -> Markup {
+/// Height errors against truth: their distribution, beside stated standard deviations, and by class.
+pub(super) fn accuracy(run: &Folder, uncertainty: Option<&Uncertainty>) -> Markup {
     // Beyond this the line would only show how rare the worst errors are.
     const WORST_M: f64 = 5.0;
     let line = |name: &str, pointer: &str| {
@@ -248,7 +233,12 @@ pub(super) fn accuracy(run: &Folder) -> Markup {
         .chain(classes.map(|(name, errors)| (name.as_str(), errors)))
         .collect();
     let body = html! {
-        @if let Some(chart) = chart { div.charts { (chart) } }
+        @if chart.is_some() || uncertainty.is_some() {
+            div.charts {
+                @if let Some(chart) = chart { (chart) }
+                @if let Some(uncertainty) = uncertainty { (calibration::draw(uncertainty, |chart| chart.inline())) }
+            }
+        }
         @if !classes.is_empty() {
             div.wide { table {
                 tr { th { "class" } th { "MAE, m" } th { "median, m" } th { "RMSE, m" } th { "within 1 m, %" } th { "beyond 5 m, %" } }
@@ -265,8 +255,29 @@ pub(super) fn accuracy(run: &Folder) -> Markup {
     section("Accuracy against truth", body)
 }
 
+/// The making of the model, folded away: images reproduced, the course of training, components, time and memory.
+pub(super) fn making(run: &Contents) -> Markup {
+    let number = |pointer: &str| run.folder.number(pointer);
+    html! {
+        details {
+            summary { "How the model was made" }
+            (origin(&run.run.scene, &run.run.preset, run.run.seed, &run.run.version))
+            (keys(&[
+                ("PSNR of training images", number("/train/psnr"), 2, "dB"),
+                ("PSNR of held-out images", number("/test/psnr"), 2, "dB"),
+                ("time", run.folder.seconds(), 1, "s"),
+                ("peak memory", number("/peak_rss_bytes").map(|b| b / MIB), 0, "MiB"),
+                ("Gaussians", number("/gaussians"), 0, ""),
+            ]))
+            (curves(&run.folder))
+            (plan(run))
+            (costs(run))
+        }
+    }
+}
+
 /// Components of the model, each with the reason for its use or absence.
-pub(super) fn plan(run: &Contents) -> Markup {
+fn plan(run: &Contents) -> Markup {
     html! {
         h2 { "Component plan" }
         div.wide { table {
@@ -301,7 +312,7 @@ pub(super) fn costs_of(rows: &[Cost], configuration: &impl serde::Serialize) -> 
 }
 
 /// Time and memory of a run of a satellite scene.
-pub(super) fn costs(run: &Contents) -> Markup {
+fn costs(run: &Contents) -> Markup {
     let number = |pointer: &str| run.folder.number(pointer);
     let mebibytes = |pointer: &str| number(pointer).map(|bytes| bytes / MIB);
     let rows = [

@@ -123,6 +123,7 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
         "albedo": albedo,
         "gamma": GAMMA,
         "light": exhibit.light,
+        "old_shadows": exhibit.old_shadows,
         "caster": CASTER,
         "dates": dates,
         "layers": layers,
@@ -178,8 +179,8 @@ fn stage(exhibit: &Exhibit) -> Markup {
                     button id="oblique" aria-pressed="false" title="From the side (O)" { "Oblique" }
                 }
                 button id="draw" aria-pressed="false" title="Draw a line, see its heights (L)" { "Profile" }
-                button id="fit" title="Show all (0)" { "Fit" }
-                button id="save" title="Save the view as PNG with a world file (S)" { "PNG" }
+                button id="fit" title="Show all of the map (0)" { "Show all" }
+                button id="save" title="Save the view as PNG with a world file (S)" { "Save" }
             }
             div id="profile" hidden {
                 button id="profile-close" aria-label="Close the profile" { "×" }
@@ -187,6 +188,10 @@ fn stage(exhibit: &Exhibit) -> Markup {
                 p id="profile-said" {}
             }
             div id="legend" hidden { canvas id="legend-bar" width="160" height="8" {} div id="legend-text" {} }
+            div id="bearings" {
+                span id="north" title="True north" { "N" span { "↑" } }
+                span id="scale" {}
+            }
             output id="readout" {}
         }
     }
@@ -212,7 +217,11 @@ fn panel(exhibit: &Exhibit) -> Markup {
                     button id="play" title="Run through the day (space)" aria-label="Run through the day" { "▶" }
                 }
                 input id="hour" type="range" min="0" max="1439" step="1" aria-label="Time of the day";
-                p.clock { span id="utc" {} span id="solar" {} }
+                p.clock { span id="utc" {} span id="civil" {} span id="solar" {} }
+                div.row {
+                    label for="zone" { "Clock of" }
+                    select id="zone" {}
+                }
                 details {
                     summary { "Azimuth and elevation" }
                     div.row {
@@ -225,6 +234,12 @@ fn panel(exhibit: &Exhibit) -> Markup {
                         input id="elevation" type="range" min="0" max="90" step="0.25";
                         input id="elevation-number" type="number" min="-90" max="90" step="0.1" aria-label="Elevation, degrees";
                     }
+                }
+            }
+            @if exhibit.old_shadows {
+                section.warning {
+                    "No sun of the images was known, so their shadows are still in the colours, beside those drawn here. \
+                     Relief shows the drawn ones alone."
                 }
             }
             section {

@@ -8,6 +8,7 @@ use heliosplat_raster::GridSpec;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// Most cells of a page.
 pub(super) const CELLS_MAX: usize = 1024 * 1024;
@@ -33,6 +34,8 @@ pub struct Exhibit {
     pub albedo: Option<Raster>,
     /// The light.
     pub light: LightTable,
+    /// True if the albedo holds the shadows of the images, whose suns were unknown.
+    pub old_shadows: bool,
     /// The dates of the images.
     pub dates: Vec<TracedDate>,
     /// Other maps.
@@ -129,31 +132,43 @@ pub(super) fn coloured(raster: &Raster, bands: [usize; 3]) -> Raster {
 impl Exhibit {
     /// The exhibit with cells averaged until there are at most 1024².
     #[must_use]
-    pub fn reduced(mut self) -> Self {
+    pub fn reduced(&self) -> Cow<'_, Self> {
         let cells = self.grid.width * self.grid.height;
         let factor = ((cells as f64 / CELLS_MAX as f64).sqrt().ceil() as usize).max(1);
         if factor == 1 {
-            return self;
+            return Cow::Borrowed(self);
         }
         let smaller = |raster: &Raster| averaged(raster, factor);
-        self.altitude = smaller(&self.altitude);
-        self.albedo = self.albedo.as_ref().map(smaller);
-        for date in &mut self.dates {
-            date.shadows = date.shadows.as_ref().map(smaller);
-        }
-        for layer in &mut self.layers {
-            layer.values = smaller(&layer.values);
-        }
+        let altitude = smaller(&self.altitude);
         // A coarse cell's middle lies between those of the cells that it replaces.
-        let (width, height) = (self.altitude.width, self.altitude.height);
-        let mut grid = self.grid.part((0, 0), (width, height));
+        let mut grid = self.grid.part((0, 0), (altitude.width, altitude.height));
         let middle = (factor - 1) as f64 / 2.0;
         grid.transform.origin = self.grid.transform.map_from_pixel(middle, middle);
         grid.transform.per_col = grid.transform.per_col.map(|step| step * factor as f64);
         grid.transform.per_row = grid.transform.per_row.map(|step| step * factor as f64);
-        self.grid = grid;
-        self.gsd_m *= factor as f64;
-        self
+        let date = |date: &TracedDate| TracedDate {
+            name: date.name.clone(),
+            shadows: date.shadows.as_ref().map(smaller),
+            ..*date
+        };
+        let layer = |layer: &Layer| Layer {
+            id: layer.id.clone(),
+            name: layer.name.clone(),
+            values: smaller(&layer.values),
+            ..*layer
+        };
+        Cow::Owned(Self {
+            title: self.title.clone(),
+            grid,
+            gsd_m: self.gsd_m * factor as f64,
+            altitude,
+            vertical_datum: self.vertical_datum.clone(),
+            albedo: self.albedo.as_ref().map(smaller),
+            light: self.light.clone(),
+            old_shadows: self.old_shadows,
+            dates: self.dates.iter().map(date).collect(),
+            layers: self.layers.iter().map(layer).collect(),
+        })
     }
 }
 

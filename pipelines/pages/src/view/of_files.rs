@@ -56,6 +56,7 @@ pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
         vertical_datum: datum.unwrap_or_default(),
         albedo: None,
         light: LightTable::usual(),
+        old_shadows: false,
         dates: Vec::new(),
         layers: Vec::new(),
     })

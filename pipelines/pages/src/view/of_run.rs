@@ -48,6 +48,7 @@ pub fn of_run(folder: &Path) -> Result<Exhibit, ViewError> {
         (coloured(&albedo, shown(&model.file.bands)), traced(&model, &nadir))
     });
     exhibit.albedo = Some(albedo);
+    exhibit.old_shadows = !model.file.has_light();
     exhibit.dates = dates?;
     exhibit.layers = layers?;
     Ok(exhibit)
@@ -57,8 +58,10 @@ pub fn of_run(folder: &Path) -> Result<Exhibit, ViewError> {
 fn title(folder: &Path) -> String {
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     let scene = load_run(folder).map(|run| run.scene).unwrap_or(whole);
-    let name = scene.file_stem().unwrap_or_default().to_string_lossy();
-    name.into_owned()
+    let names: Vec<_> = scene.ancestors().filter_map(Path::file_stem).take(2).collect();
+    // A folder or file called `scene` names nothing; the folder around it does.
+    let name = names.iter().find(|name| **name != "scene").or(names.first());
+    name.map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// The dates of the model with the shadows of each.
@@ -104,20 +107,12 @@ fn images(model: &LoadedModel, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewErro
     Ok(out)
 }
 
-/// Standard deviation, errors and changes, as far as there are files of them in the folder.
+/// Standard deviation, number of images, errors and changes, as far as there are files of them in the folder.
 ///
 /// # Errors
 /// When one of the files is damaged.
 pub(super) fn maps(folder: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
-    let mut out = Vec::new();
-    let surface = GeoRaster::read_surface(&folder.join("dsm.tif"))?;
-    if let Some(band) = surface.band(dsm_bands::STANDARD_DEVIATION) {
-        let values = on_grid(&surface, band, &exhibit.grid)?;
-        if let Some((_, high)) = percentiles(&values.values, 0.02, 0.98) {
-            let ramp = (Ramp::Sequential, [0.0, high.max(0.1)]);
-            out.push(Layer::map("deviation", "Standard deviation of heights", ramp, values));
-        }
-    }
+    let mut out = companions(&folder.join("dsm.tif"), exhibit)?;
     let errors = folder.join(ERRORS);
     if errors.is_file() {
         let values = on_grid(&GeoRaster::read(&errors)?, 0, &exhibit.grid)?;
@@ -128,8 +123,37 @@ pub(super) fn maps(folder: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewE
         let changes = GeoRaster::read(path)?;
         let band = changes.band("difference_m").unwrap_or(0);
         let values = on_grid(&changes, band, &exhibit.grid)?;
-        let ramp = (Ramp::Diverging, [-10.0, 10.0]);
-        out.push(Layer::map("change", "Change of heights between dates", ramp, values));
+        if values.values.iter().any(|metres| metres.abs() > 0.0) {
+            let ramp = (Ramp::Diverging, [-10.0, 10.0]);
+            out.push(Layer::map("change", "Change of heights between dates", ramp, values));
+        }
+    }
+    Ok(out)
+}
+
+/// Standard deviation and number of images of a surface model, as far as there are files of them beside it.
+///
+/// # Errors
+/// When one of the files is damaged.
+pub(crate) fn companions(dsm: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
+    let mut out = Vec::new();
+    let surface = GeoRaster::read_surface(dsm)?;
+    if let Some(band) = surface.band(dsm_bands::STANDARD_DEVIATION) {
+        let values = on_grid(&surface, band, &exhibit.grid)?;
+        if let Some((_, high)) = percentiles(&values.values, 0.02, 0.98) {
+            let ramp = (Ramp::Sequential, [0.0, high.max(0.1)]);
+            out.push(Layer::map("deviation", "Standard deviation of heights", ramp, values));
+        }
+    }
+    if let Some(band) = surface.band(dsm_bands::VIEWS) {
+        let values = on_grid(&surface, band, &exhibit.grid)?;
+        if let Some((_, most)) = percentiles(&values.values, 0.0, 1.0) {
+            let ramp = (Ramp::Sequential, [0.0, most.max(1.0)]);
+            out.push(Layer {
+                unit: "",
+                ..Layer::map("views", "Number of images that see the ground", ramp, values)
+            });
+        }
     }
     Ok(out)
 }

@@ -14,7 +14,7 @@ const STEP_M: f64 = 10.0;
 
 /// Place of a grid on the Earth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct GridLocation {
+pub(crate) struct GridLocation {
     /// Longitude of the middle, degrees.
     pub lon_deg: f64,
     /// Latitude of the middle, degrees.
@@ -35,7 +35,7 @@ impl GridLocation {
     ///
     /// # Errors
     /// When the grid lies outside its coordinate system.
-    pub(super) fn of(grid: &GridSpec, height_m: f64) -> Result<Self, RasterError> {
+    pub(crate) fn of(grid: &GridSpec, height_m: f64) -> Result<Self, RasterError> {
         let to_lon_lat = CrsTransform::to_lon_lat(&grid.crs)?;
         let from_lon_lat = CrsTransform::from_lon_lat(&grid.crs)?;
         let lon_lat = |col: f64, row: f64| {

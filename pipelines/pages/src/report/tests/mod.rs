@@ -1,8 +1,12 @@
 //! Pages of hostile contents: every text from outside stays text, and nothing is fetched.
 
 use super::*;
+use crate::view::{Layer, Light, Ramp};
+use heliosplat::Raster;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::splat::ProjectionOptions;
+use heliosplat_raster::write::{ImageSpec, write_cog};
+use heliosplat_raster::{Crs, GeoTransform, GridSpec};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_rpc::{GeoPoint, ProjectiveMap};
 use heliosplat_satellite::PlanItem;
@@ -101,18 +105,79 @@ fn what_comes_from_outside_stays_text_and_nothing_is_fetched() {
     std::fs::create_dir(folder.path().join("views")).expect("made");
     let picture = RgbImage::new(80, 10);
     picture.save(folder.path().join("views/view.png")).expect("written");
-    picture.save(folder.path().join("dsm.png")).expect("written");
-    std::fs::write(folder.path().join("error.png"), b"no picture").expect("written");
+    std::fs::write(folder.path().join("views/other.png"), b"no picture").expect("written");
+    std::fs::write(folder.path().join("dsm.tif"), b"").expect("written");
     let page = page_of_run(&contents(folder.path()));
     assert!(!page.contains("<img src=x"), "an image from outside");
     assert!(!page.contains("http") && !page.contains("<script") && !page.contains("src=\"views"));
-    // The surface and the four panels of the view; what is no picture is left out.
-    assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 5);
+    // Heights, standard deviations, albedo and the four panels of the view; what is no picture is left out.
+    assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 7);
     assert!(page.contains("held out") && page.matches("<polyline").count() == 5);
 }
 
+/// A slope of 40 x 20 cells of half a metre whose last row is unknown, west of the zone's central meridian.
+fn shown() -> Exhibit {
+    let (width, height) = (40, 20);
+    let mut altitude = Raster::filled(width, height, 1, f32::NAN);
+    for i in 0..width * (height - 1) {
+        altitude.values[i] = 700.0 + (i % width) as f32;
+    }
+    let deviation = Layer::map(
+        "deviation",
+        "Standard deviation of heights",
+        (Ramp::Sequential, [0.0, 2.0]),
+        Raster::filled(width, height, 1, 0.25),
+    );
+    Exhibit {
+        title: EVIL.into(),
+        grid: GridSpec {
+            width,
+            height,
+            transform: GeoTransform::north_up(320_000.0, 4_160_000.0, 0.5),
+            crs: Crs::from_epsg(32637).expect("UTM"),
+        },
+        gsd_m: 0.5,
+        altitude,
+        vertical_datum: EVIL.into(),
+        albedo: Some(Raster::filled(width, height, 3, 0.3)),
+        light: Light::usual(),
+        old_shadows: false,
+        dates: Vec::new(),
+        layers: vec![deviation],
+    }
+}
+
+#[test]
+fn the_page_is_about_the_surface_and_its_making_is_folded_away() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for name in ["dsm.tif", "dsm_stddev.tif", "notes.tif"] {
+        std::fs::write(folder.path().join(name), b"").expect("written");
+    }
+    let page = page_of_run(&contents(folder.path()));
+    // UTM zone 37: 320 km is 180 km west of 39 degrees east; at 37.57 degrees north a degree is 88.4 km wide.
+    for part in [
+        "37.5",
+        "36.9",
+        "EPSG:32637",
+        "20 × 10 m",
+        "cells of 0.5 m",
+        "<b>95.0 %</b>",
+        "<b>700.0 m</b>",
+        "<b>739.0 m</b>",
+        "<b>0.25 m</b>",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    // The longest round bar within 40 % of 20 m.
+    assert!(page.contains("<div class=\"bar\" style=\"width:25.00%\">5 m</div>"));
+    assert!(page.contains("<a href=\"./dsm.tif\">dsm.tif</a>") && !page.contains("notes.tif"));
+    let (surface, making) = page.split_once("<details>").expect("a part that is folded away");
+    assert!(making.contains("Component plan") && making.contains("Loss: "));
+    assert!(!surface.contains("PSNR") && !surface.contains("Gaussians\"") && !surface.contains("preset"));
+}
+
 fn page_of_run(contents: &Contents) -> String {
-    page(contents, sections(contents).expect("written"))
+    page(contents, Some(&shown())).expect("written")
 }
 
 #[test]
@@ -152,6 +217,12 @@ fn the_page_of_a_mosaic_keeps_what_comes_from_outside_as_text_and_looks_nowhere_
         picture.save(folder.join(name)).expect("written");
     }
     picture.save(home.path().join("outside.png")).expect("written");
+    let shown = shown();
+    let spec = ImageSpec {
+        georeference: Some((&shown.grid.transform, &shown.grid.crs)),
+        ..ImageSpec::plain(&shown.altitude)
+    };
+    write_cog(&folder.join("dsm.tif"), &spec).expect("written");
     let huge = [[0u32, u32::MAX], [7, u32::MAX]];
     let said = json!({
         "tiles": 2, "gsd_m": 0.5, "width": 60, "height": 40,
@@ -170,8 +241,9 @@ fn the_page_of_a_mosaic_keeps_what_comes_from_outside_as_text_and_looks_nowhere_
     let path = mosaic::write(&folder).expect("a page");
     let page = std::fs::read_to_string(path).expect("readable");
     assert!(!page.contains("<img src=x") && !page.contains("<script") && !page.contains("http"));
-    // The surface, the same with its lines, and one date.
-    assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 3);
+    // Heights under the borders of three tiles, and one date.
+    assert!(page.contains("<rect x=\"20\" y=\"0\" width=\"40\" height=\"40\""));
+    assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 2);
     assert_eq!(page.matches("run/report.html").count(), 1);
     assert!(mosaic::write(home.path()).is_err(), "no mosaic");
 }

@@ -20,6 +20,12 @@ function controls(app) {
     byId("dates").append(button);
   }
 
+  // Civil time: no file knows the zone of a place, so it is chosen; at first that of the browser.
+  const own = Intl.DateTimeFormat().resolvedOptions().timeZone;
+  const zones = new Set(["UTC", own, ...(Intl.supportedValuesOf?.("timeZone") ?? [])]);
+  for (const zone of zones) byId("zone").append(new Option(zone.replaceAll("_", " "), zone, zone === own, zone === own));
+  byId("zone").onchange = () => app.say();
+
   // Playing a day.
   app.playing = 0;
   app.stop = () => {

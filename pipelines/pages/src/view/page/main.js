@@ -92,6 +92,7 @@ function begin(scene, albedo) {
     if (app.mode === "plan") plan.draw(c, w, h, front.canvas, two && two.canvas, at);
     else oblique.draw(c, w, h, front.image.data, two && two.image.data, at, app.sunward, app.dragging ? 1 : Math.min(ratio, 1.5), dark.matches ? [58, 61, 68] : [196, 190, 178]);
     drawLine(c, w, h);
+    bearings(w);
     byId("divider").hidden = byId("labels").hidden = !two;
     if (two) byId("divider").style.left = `${at}px`;
   };
@@ -101,6 +102,19 @@ function begin(scene, albedo) {
     const wide = w > 700;
     app.current().fit(w, h, wide ? [28, 28, 84, 64] : [10, 10, 92, 34]);
   };
+
+  /// True north, and a bar of a round length, over the plan.
+  function bearings(w) {
+    byId("bearings").hidden = app.mode !== "plan";
+    const [right, down] = scene.place.north;
+    byId("north").style.transform = `rotate(${Math.atan2(right, -down) / RAD}deg)`;
+    const perPixel = scene.cell_m / plan.scale;
+    const most = Math.min(160, 0.3 * w) * perPixel;
+    const power = 10 ** Math.floor(Math.log10(most));
+    const metres = [5, 2, 1].map((step) => step * power).find((step) => step <= most) ?? power;
+    byId("scale").style.width = `${metres / perPixel}px`;
+    byId("scale").textContent = metres < 1000 ? `${+metres.toPrecision(1)} m` : `${metres / 1000} km`;
+  }
 
   function drawLine(c, w, h) {
     if (!app.line) return;
@@ -125,7 +139,8 @@ function begin(scene, albedo) {
   address(app);
 
   const lit = scene.albedo ? "Colours are the model's albedo in its light: sunlight where the sun is seen, and skylight. " : "";
-  byId("notes").textContent = `${lit}Shadows are cast by the heights, live, with the half-shade of the sun's disc. Striped cells are unknown: they throw no shadow and have none. ` +
+  const agreed = scene.dates.some((date) => date.agreement) ? "The number beside a date is the share of shadows on which this page and the model agree (intersection over union). " : "";
+  byId("notes").textContent = `${lit}${agreed}Shadows are cast by the heights, live, with the half-shade of the sun's disc. Striped cells are unknown: they throw no shadow and have none. ` +
     `${scene.width} × ${scene.height} cells of ${+scene.cell_m.toPrecision(3)} m, ${scene.crs_name}${scene.vertical_datum ? `, heights above ${scene.vertical_datum}` : ""}. heliosplat ${scene.version}`;
   const dome = skyDome(byId("dome"), app);
   const drawProfile = profileChart(app);

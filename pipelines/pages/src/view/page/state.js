@@ -62,10 +62,12 @@ function sunAndWords(app) {
     byId("shadow-said").textContent = el > 0 ? `${(100 * app.shadowShare()).toFixed(0)} %` : "night";
     const iso = app.time === null ? "" : new Date(app.time).toISOString();
     byId("utc").textContent = app.time === null ? "free sun, no time" : `${iso.slice(11, 16)} UTC`;
+    const zone = byId("zone").value;
+    byId("civil").textContent = app.time === null || zone === "UTC" ? "" : new Date(app.time).toLocaleTimeString("en-GB", { timeZone: zone, hour: "2-digit", minute: "2-digit", timeZoneName: "short" });
     byId("solar").textContent = app.time === null ? "" : `${clock(solarTime(app.time, scene.place.lon_deg))} solar time`;
     byId("said").textContent = app.time === null ? `Sun from ${whereFrom(az)}, ${el.toFixed(0)}° high` : `${iso.slice(0, 10)}, ${iso.slice(11, 16)} UTC`;
     const note = byId("agreement");
     if (note && app.date?.agreement) note.textContent = `Shadows of this page and those traced through the model agree to ${app.date.agreement.iou.toFixed(2)} (intersection over union).`;
-    else if (note) note.textContent = "A date sets its sun. The number says how far the shadows of this page agree with those traced through the model (intersection over union).";
+    else if (note) note.textContent = "A date sets its sun.";
   };
 }

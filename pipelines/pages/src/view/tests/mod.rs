@@ -52,6 +52,7 @@ fn town(width: usize, height: usize) -> Exhibit {
         vertical_datum: "WGS84 ellipsoid".into(),
         albedo: Some(albedo),
         light: LightTable::of_sky([0.2, 0.22, 0.25]),
+        old_shadows: false,
         dates: Vec::new(),
         layers: Vec::new(),
     }
@@ -101,7 +102,7 @@ fn a_larger_surface_is_averaged_and_stays_in_its_place() {
         transform.map_from_pixel(-0.5, -0.5)
     };
     let before = (outer(&large), large.altitude.values[40 * 1500 + 60]);
-    let small = large.clone().reduced();
+    let small = large.reduced();
     assert_eq!((small.altitude.width, small.altitude.height), (750, 500));
     assert!(small.altitude.plane_len() <= CELLS_MAX && small.gsd_m == 1.0);
     assert_eq!(outer(&small), before.0);
