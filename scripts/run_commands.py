@@ -6,7 +6,7 @@ usage: run_commands.py PROGRAM [PAGE...]
 Blocks of code in README.md and docs/guide/*.md are read line by line; lines that start with `heliosplat` are run, page by page,
 in the order of the page, in a folder that has the inputs the pages name (`my_images`, `run`, `lidar.tif` …). Presets and sizes are
 replaced by small ones. Commands that take minutes by design are skipped with a reason. Some three minutes of processor time.
-Standard library only.
+A comment that is the name of a file, such as `# run/products/ndsm.tif`, states that the command makes it. Standard library only.
 """
 
 import re
@@ -57,14 +57,15 @@ def run(program, arguments, folder):
 
 
 def commands(page):
-    """The numbered commands of a page, without the name of the program."""
+    """The numbered commands of a page, without the name of the program, each with the file that it states to make, or None."""
     fenced = False
     for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
         if line.startswith("```"):
             fenced = not fenced
         match = re.match(r"\s*(?:target/release/)?heliosplat ([a-z-].*)", line) if fenced else None
         if match:
-            yield number, shlex.join(shlex.split(match.group(1), comments=True)).replace("'$hour.tif'", "$hour.tif").replace("'", "")
+            stated = re.search(r" # (\S+\.\w+)$", line)
+            yield number, stated and stated.group(1), shlex.join(shlex.split(match.group(1), comments=True)).replace("'$hour.tif'", "$hour.tif").replace("'", "")
 
 
 def small(command):
@@ -125,7 +126,7 @@ def main():
         for page in pages:
             folder = Path(temporary) / page.stem
             shutil.copytree(world, folder)
-            for number, command in commands(page):
+            for number, stated, command in commands(page):
                 reason = next((why for pattern, why in SKIPPED.items() if re.search(pattern, command)), None)
                 if reason:
                     skipped += 1
@@ -139,7 +140,11 @@ def main():
                 ran += 1
                 if words.startswith("view ") and "--out" not in words:
                     words += " --out sun.html"
+                if stated and (folder / stated).is_file():
+                    (folder / stated).unlink()
                 fault = run(program, words.split(), folder)
+                if not fault and stated and not (folder / stated).is_file():
+                    fault = f"makes no {stated}"
                 if fault:
                     failed += 1
                     print(f"{page.name}:{number}: heliosplat {words}: {fault}", flush=True)
