@@ -20,7 +20,7 @@ const BRIGHTEST: f64 = 1.25;
 /// Longest scale bar, as a share of the map's width.
 const BAR_MOST: f64 = 0.4;
 
-/// Files that a folder may have for a user, a line each: the name, or the beginning of the names of rasters, and the contents.
+/// Files for users, a line each: the name, or the beginning of the names of rasters, and the contents.
 const FILES: &str = include_str!("files.txt");
 
 /// Place, coordinate system, extent and cells of the surface; the link to its sun; and its main figures with those of `more`.
