@@ -5,6 +5,7 @@ use heliosplat::Raster;
 use heliosplat_raster::{Crs, CrsTransform, GeoTransform, ImageSpec, RasterFile, SampleType, Window, write_geotiff};
 use heliosplat_rpc::read::gdal_domain;
 use heliosplat_rpc::{Rpc, write};
+use heliosplat_scene::cameras::SceneCameras;
 use heliosplat_scene::{Index, IngestOptions, RpcPreference, Scene, SceneError, ValueKind, Values};
 use heliosplat_tests::program::{fault, heliosplat, json, tiny_scene};
 use heliosplat_tests::scenes::{GSD_M, SIZE_PX, View};
@@ -875,6 +876,19 @@ fn masks_of_planet_are_masks_of_their_images() {
             "{mask:?}"
         );
         assert!(index.files.contains(mask));
+    }
+    // Averaged down for tie points, a pixel is missing that any unusable one is part of.
+    let cameras = SceneCameras::new(&index, &IngestOptions::default()).expect("cameras");
+    let whole = Window {
+        col0: 0,
+        row0: 0,
+        width: SIZE_PX,
+        height: SIZE_PX,
+    };
+    let reduced = cameras.read_reduced(0, whole, 3).expect("pixels");
+    for (col, row) in (0..reduced.height).flat_map(|row| (0..reduced.width).map(move |col| (col, row))) {
+        let missing = reduced.at(0, col, row).is_nan();
+        assert_eq!(missing, is_unusable(3 * col, 3 * row), "{col} {row}");
     }
     let scene = open(home.path()).expect("a scene");
     for image in &scene.images {

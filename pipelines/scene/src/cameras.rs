@@ -166,7 +166,7 @@ impl<'a> SceneCameras<'a> {
     }
 
     /// The mean of the bands of a window of an image, `factor` by `factor` pixels averaged into one; `NaN` where
-    /// nothing is known.
+    /// nothing is known or a mask beside the image states that it is not usable.
     ///
     /// # Errors
     /// When the pixels cannot be read.
@@ -180,6 +180,7 @@ impl<'a> SceneCameras<'a> {
                 *sum += value / raster.bands as f32;
             }
         }
+        super::pixels::blank_unusable(&mut mean, image, (window, factor), &mut Vec::new())?;
         Ok(mean)
     }
 }

@@ -21,9 +21,7 @@ pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String
     let file = image.file();
     let mut raster = file.read(window, &image.bands.file_bands)?;
     drop(file);
-    if let Some(mask) = &image.usable_mask {
-        blank_unusable(&mut raster, mask, image, window, warnings)?;
-    }
+    blank_unusable(&mut raster, image, (window, 1), warnings)?;
     blank_black_border(&mut raster, &image.path, warnings);
     let known_and_lit = raster.values.iter().any(|&value| value.is_finite() && value > 0.0);
     if !known_and_lit {
@@ -118,13 +116,17 @@ fn blank(raster: &mut Raster, is_missing: impl Fn(usize) -> bool) {
 /// (`udm2`) each that is neither clear (band 1) nor snow (band 2).
 ///
 /// Source: Planet, "Usable Data Masks (UDM2)", <https://docs.planet.com/data/imagery/udm/>.
-fn blank_unusable(
+///
+/// Pixels that were averaged down by `factor` are missing where any of their parts is.
+pub(super) fn blank_unusable(
     raster: &mut Raster,
-    path: &Path,
     image: &IndexImage,
-    window: Window,
+    (window, factor): (Window, usize),
     warnings: &mut Vec<String>,
 ) -> Result<(), SceneError> {
+    let Some(path) = &image.usable_mask else {
+        return Ok(());
+    };
     let file = RasterFile::open(path)?;
     if file.size() != image.size {
         warnings.push(format!(
@@ -135,10 +137,11 @@ fn blank_unusable(
         return Ok(());
     }
     let is_second = file.bands.len() > 1;
-    let mask = file.read(window, if is_second { &[0, 1] } else { &[0] })?;
+    let mask = file.read_reduced(window, factor, if is_second { &[0, 1] } else { &[0] })?;
     let plane = mask.plane_len();
     let unusable = |index: usize| match is_second {
-        true => mask.values[index] == 0.0 && mask.values[plane + index] == 0.0,
+        // Means of parts that are clear or snow sum to one, but for rounding.
+        true => mask.values[index] + mask.values[plane + index] < 0.999,
         false => mask.values[index] != 0.0,
     };
     let count = (0..plane).filter(|&index| unusable(index)).count();
