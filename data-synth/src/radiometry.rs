@@ -90,7 +90,7 @@ pub(crate) struct LitScene<'a> {
 }
 
 impl<'a> LitScene<'a> {
-    pub(crate) fn of(tracer: &'a Tracer<'a>, surfaces: &'a [Surface], ground: &'a crate::city::Ground) -> Self {
+    pub(crate) fn of(tracer: &'a Tracer<'a>, surfaces: &'a [Face], ground: &'a crate::city::GroundCover) -> Self {
         Self {
             tracer,
             surfaces,

@@ -23,7 +23,7 @@ pub use of_files::of_files;
 pub use of_mosaic::of_mosaic;
 pub(crate) use of_run::companions;
 pub use of_run::of_run;
-pub(crate) use place::Place;
+pub(crate) use place::GridLocation;
 
 use crate::page::MOSAIC_FILE;
 use heliosplat_evaluate::EvaluateError;

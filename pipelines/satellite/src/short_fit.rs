@@ -3,7 +3,6 @@
 //! Roofs of a swept surface are too wide and its walls lean, and its shadows have the same errors. A model of a few
 //! steps has its walls in the right place: shadows and dark ground agree better on it by half (docs/lab/suns.md).
 
-
 use super::config::SatelliteConfig;
 use super::error::SatelliteError;
 use super::initial_state::{self, InitialState, SKY};

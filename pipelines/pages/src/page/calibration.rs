@@ -35,9 +35,7 @@ pub fn draw<T>(uncertainty: &Uncertainty, draw: impl Fn(&Chart) -> T) -> T {
         up: axis(""),
         reference: Some([(low, low), (high, high)]),
         lines: &[line("RMSE", |g| g.rmse_m), line("median error", |g| g.median_m)],
-        dots: &[],
-    };
-    chart.file()
+    })
 }
 
 #[cfg(test)]

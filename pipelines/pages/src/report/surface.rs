@@ -3,7 +3,7 @@
 use super::Folder;
 use super::parts::{Key, SURFACE_PX, figure, keys};
 use crate::page::{inline_picture, number, plain, section};
-use crate::view::{self, Exhibit, Layer, Place, Ramp};
+use crate::view::{self, Exhibit, GridLocation, Layer, Ramp};
 use heliosplat::Raster;
 use heliosplat_products::style::{FELL_AND_ROSE, GROUND, SUN, colour};
 use heliosplat_raster::preview::{UNKNOWN, hillshade, percentiles, stretched};
@@ -42,7 +42,7 @@ pub(super) fn head(folder: &Folder, shown: &Exhibit, more: &[Key]) -> Markup {
     ];
     html! {
         p {
-            @if let Ok(place) = Place::of(&shown.grid, low) {
+            @if let Ok(place) = GridLocation::of(&shown.grid, low) {
                 (format!("{:.5}° {}, {:.5}° {}", place.lat_deg.abs(), if place.lat_deg < 0.0 { "S" } else { "N" },
                     place.lon_deg.abs(), if place.lon_deg < 0.0 { "W" } else { "E" })) " · "
             }

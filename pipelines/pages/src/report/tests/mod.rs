@@ -1,7 +1,7 @@
 //! Pages of hostile contents: every text from outside stays text, and nothing is fetched.
 
 use super::*;
-use crate::view::{Layer, Light, Ramp};
+use crate::view::{Layer, LightTable, Ramp};
 use heliosplat::Raster;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::splat::ProjectionOptions;
@@ -140,7 +140,7 @@ fn shown() -> Exhibit {
         altitude,
         vertical_datum: EVIL.into(),
         albedo: Some(Raster::filled(width, height, 3, 0.3)),
-        light: Light::usual(),
+        light: LightTable::usual(),
         old_shadows: false,
         dates: Vec::new(),
         layers: vec![deviation],
