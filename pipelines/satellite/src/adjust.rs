@@ -33,7 +33,7 @@ const WORTHLESS_SCORE: f32 = 0.7;
 /// The ground of `scene` in all of its images, held-out ones too, whose cameras have the same errors.
 ///
 /// # Errors
-/// [`SatelliteError::TooFewViews`] when fewer than two images show the common ground.
+/// When fewer than two images show the common ground.
 pub fn ground(scene: &Scene) -> Result<GroundViews<'_>, SatelliteError> {
     GroundViews::new(scene, scene.images.iter())
 }
