@@ -95,7 +95,7 @@ fn same_length(arrays: &[&[f64]]) -> PyResult<()> {
 }
 
 /// Pairs of numbers of `count` points, on all threads.
-fn in_parallel(count: usize, work: impl Fn(usize) -> [f64; 2] + Sync) -> (Vec<f64>, Vec<f64>) {
+fn in_parallel(count: usize, work: impl Fn(usize) -> [f64; 2] + Sync + Send) -> (Vec<f64>, Vec<f64>) {
     let pairs = (0..count).into_par_iter().with_min_len(CHUNK);
     pairs.map(work).map(|[a, b]| (a, b)).unzip()
 }
