@@ -171,6 +171,7 @@ pub fn evaluate_raster(
     metrics.uncertainty = prediction
         .band(dsm_bands::STANDARD_DEVIATION)
         .and_then(|band| Uncertainty::of(&errors, &placement.moved_band(band, shift.columns, shift.rows)));
+    metrics.outside_truth_m = metrics::outside_truth(&errors, &wanted, &truth.raster);
     metrics.edges = edges::edges(&errors, &wanted, &truth.raster, classes.as_ref(), gsd_m);
     Ok(DsmEvaluation {
         metrics,

@@ -2,6 +2,7 @@
 
 use super::{EdgeErrors, Protocol, Uncertainty, class_name};
 use heliosplat::Raster;
+use heliosplat_grid::lowest_within;
 use heliosplat_grid::statistics::{median, nmad};
 use std::collections::BTreeMap;
 
@@ -46,6 +47,9 @@ pub struct DsmMetrics {
     /// prediction, 0..1; absent where the visibility is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seen_unknown: Option<f64>,
+    /// Mean distance of the altitudes from the interval of the true ones around them, metres ([`outside_truth`]).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outside_truth_m: Option<f64>,
     /// Errors of the ground by its distance to the nearest wall, where classes are known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edges: Vec<EdgeErrors>,
@@ -107,10 +111,31 @@ impl DsmMetrics {
             by_class,
             ground_and_buildings: static_classes,
             seen_unknown: None,
+            outside_truth_m: None,
             edges: Vec::new(),
             uncertainty: None,
         }
     }
+}
+
+/// Mean distance, metres, of the altitudes from the interval between the lowest and the highest true altitude of 3 × 3
+/// cells; `None` where none is measured. Rasters of lidar interpolate between roof and ground, so beside a wall one cell
+/// of truth is as good as its neighbours (S-EO, arXiv 2504.06920, publishes both bounds for this reason).
+pub(super) fn outside_truth(errors: &Raster, wanted: &[bool], truth: &Raster) -> Option<f64> {
+    let lowest = |sign: f32| {
+        let known = truth.values.iter().map(|z| if z.is_nan() { f32::MAX } else { sign * z });
+        lowest_within((truth.width, truth.height), &known.collect::<Vec<_>>(), [1, 1])
+    };
+    let bounds = lowest(1.0).into_iter().zip(lowest(-1.0));
+    let cells = errors.values.iter().zip(&truth.values).zip(wanted).zip(bounds);
+    let distances: Vec<f64> = cells
+        .filter(|(((error, _), wanted), _)| **wanted && error.is_finite())
+        .map(|(((error, truth), _), (low, high))| {
+            let altitude = error + truth;
+            f64::from((low - altitude).max(altitude + high).max(0.0))
+        })
+        .collect();
+    (!distances.is_empty()).then(|| distances.iter().sum::<f64>() / distances.len() as f64)
 }
 
 /// Statistics of the errors of the wanted cells, `NaN` where there is no prediction; `None` when none is measured.
@@ -137,4 +162,26 @@ pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErro
         nmad_m: nmad(&errors)?,
         completeness: measured / count as f64,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_altitude_between_those_beside_a_wall_is_no_error_and_one_above_all_is() {
+        // Ground, a ramp of one cell, a roof; the surface has its wall one cell further.
+        let truth = Raster {
+            values: vec![0.0, 0.0, 4.0, 8.0, 8.0, f32::NAN],
+            ..Raster::filled(6, 1, 1, 0.0)
+        };
+        let errors = Raster {
+            values: vec![0.0, 0.5, 4.0, 0.0, 2.0, f32::NAN],
+            ..Raster::filled(6, 1, 1, 0.0)
+        };
+        let wanted = [true, true, true, true, true, false];
+        // The roof that begins a cell early is within the truth's ramp; two metres above the roof are two metres.
+        assert_eq!(outside_truth(&errors, &wanted, &truth), Some(2.0 / 5.0));
+        assert_eq!(outside_truth(&errors, &[false; 6], &truth), None);
+    }
 }

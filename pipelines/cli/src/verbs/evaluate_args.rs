@@ -101,6 +101,10 @@ pub fn table(metrics: &DsmMetrics) -> String {
             100.0 * edge.share_of_error
         );
     }
+    if let Some(distance_m) = metrics.outside_truth_m {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "outside the true altitudes of 3 x 3 cells: MAE {distance_m:.3} m");
+    }
     if let Some(share) = metrics.seen_unknown {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "unknown of what two images see: {:.2} %", 100.0 * share);
