@@ -777,7 +777,7 @@ fn an_image_that_was_halved_without_its_rpc_is_named() {
     };
     write_geotiff(&path, &spec, SampleType::U16).expect("written");
     let (codes, seen) = inspected(home.path(), &[]);
-    assert_eq!(codes, ["rpc-of-another-size"]);
+    assert_eq!(codes, ["rpc-of-another-size", "camera-contradicts-others"]);
     let finding = &seen["findings"][0];
     assert_eq!(finding["images"], serde_json::json!(["view_1"]));
     assert!(
@@ -1015,8 +1015,47 @@ fn an_image_that_fits_no_other_is_named_and_not_called_cloudy() {
         .lines()
         .filter(|line| line.contains("its camera contradicts the others"))
         .collect();
-    assert!(told.len() == 1 && told[0].contains(name), "{said}");
+    assert!(
+        told.len() == 1 && told[0].contains(name) && told[0].contains("left out"),
+        "{said}"
+    );
     assert!(!said.contains(&format!("{name}: clouds over")), "{said}");
+    let (codes, seen) = inspected(&scene, &[]);
+    let finding = seen["findings"].as_array().expect("findings").iter();
+    let mut finding = finding.filter(|finding| finding["code"] == "camera-contradicts-others");
+    assert_eq!(
+        finding.next().map(|finding| &finding["images"]),
+        Some(&serde_json::json!([name])),
+        "{codes:?}"
+    );
+    assert!(finding.next().is_none());
+}
+
+/// The image is one of those of `synth satellite --site block --seed 5 --views 4` that are trained on.
+#[test]
+fn a_mirrored_camera_is_left_out_of_tiles_too() {
+    let home = tempdir().expect("a temporary folder");
+    let scene = home.path().join("scene");
+    let word = scene.display().to_string();
+    let words = "synth satellite --site block --seed 5 --views 4 --out";
+    json(&words.split(' ').chain([word.as_str()]).collect::<Vec<_>>());
+    let path = scene.join("block_005_02.json");
+    let mut said: Value = serde_json::from_slice(&fs::read(&path).expect("text")).expect("JSON");
+    let last = said["width"].as_f64().expect("a width") - 1.0;
+    let offset = said["rpc"]["col_offset"].as_f64().expect("an offset");
+    said["rpc"]["col_offset"] = (last - offset).into();
+    for coefficient in said["rpc"]["col_num"].as_array_mut().expect("coefficients") {
+        *coefficient = (-coefficient.as_f64().expect("a number")).into();
+    }
+    fs::write(&path, said.to_string()).expect("written");
+    let out = home.path().join("dsm.tif").display().to_string();
+    let output = heliosplat(&["dsm", &word, "--from", "sweep", "--memory", "300MB", "--out", &out])
+        .assert()
+        .success();
+    let said = String::from_utf8_lossy(&output.get_output().stderr).into_owned();
+    let left_out = said.lines().filter(|line| line.contains("is left out"));
+    let named: Vec<&str> = left_out.filter(|line| line.contains("block_005_02")).collect();
+    assert!(named.len() == 1 && said.contains(" tiles ("), "{said}");
 }
 
 #[test]

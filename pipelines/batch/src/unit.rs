@@ -151,6 +151,7 @@ fn tile(
         // An empty map would have the tile look for itself.
         config.cameras.align = Align::Off;
         config.cameras.shifts_px = cameras.shifts_px;
+        config.cameras.left_out = cameras.left_out;
     }
     if work.preset.is_sweep() {
         return swept(&scene, work, &config, folder, session);

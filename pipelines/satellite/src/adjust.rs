@@ -11,7 +11,8 @@ mod report;
 mod vectors;
 mod write;
 
-pub(crate) use contradiction::contradicting;
+pub use contradiction::findings;
+pub(crate) use contradiction::{contradictions, left_out};
 pub use report::{AdjustRequest, AdjustedScene, adjust_scene};
 pub use vectors::ImageVectors;
 

@@ -18,16 +18,22 @@ pub(super) fn find(
     masks
 }
 
-/// Says what is left out of each crop of `ground`. An image whose camera contradicts the others looks cloudy wherever
-/// it is laid.
-pub(super) fn log_shares(ground: &GroundViews, masks: &[Vec<bool>], contradicting: &[bool]) {
+/// Logs the clouds of each crop of `ground`, but for the images that are `left_out` whole.
+pub(super) fn log_shares(ground: &GroundViews, masks: &[Vec<bool>], left_out: &[bool]) {
     for (place, (mask, image)) in masks.iter().zip(&ground.images).enumerate() {
         let share = 100.0 * share(mask);
-        match contradicting.get(place) {
-            _ if mask.is_empty() => {}
-            Some(true) => tracing::info!("{}: {share:.1} % that fit no other image are left out", image.name),
-            _ => tracing::info!("{}: clouds over {share:.1} % are left out", image.name),
+        if !mask.is_empty() && left_out.get(place) != Some(&true) {
+            tracing::info!("{}: clouds over {share:.1} % are left out", image.name);
         }
+    }
+}
+
+/// Makes all pixels of the images that are `left_out` unknown, as if clouds covered them.
+pub(super) fn leave_out(rasters: &mut [Raster], masks: &mut [Vec<bool>], left_out: &[bool]) {
+    let images = rasters.iter_mut().zip(masks).zip(left_out);
+    for ((raster, mask), _) in images.filter(|(_, out)| **out) {
+        *mask = vec![true; raster.plane_len()];
+        blank(raster, mask);
     }
 }
 

@@ -52,6 +52,9 @@ pub struct CameraOptions {
     /// Corrections that were found before, columns and rows by image name, pixels; where there are any, none are looked for.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub shifts_px: BTreeMap<String, [f32; 2]>,
+    /// Names of images that ties found before to contradict their cameras, and that are left out.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<String>,
 }
 
 impl Default for CameraOptions {
@@ -59,6 +62,7 @@ impl Default for CameraOptions {
         Self {
             align: Align::Auto,
             shifts_px: BTreeMap::new(),
+            left_out: Vec::new(),
         }
     }
 }

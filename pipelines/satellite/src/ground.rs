@@ -104,6 +104,11 @@ impl<'a> GroundViews<'a> {
         crops.map(|(image, crop)| crop.cut(&image.pixels)).collect()
     }
 
+    /// Pixels of each crop.
+    pub(super) fn pixels(&self) -> Vec<usize> {
+        self.crops.iter().map(|crop| crop.width * crop.height).collect()
+    }
+
     /// Refuses an image whose crop has no contrast: nearly all of its pixels have one value in every band. Crops
     /// without any known pixel pass, since they are known to be empty.
     ///

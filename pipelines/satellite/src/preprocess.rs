@@ -75,14 +75,15 @@ impl<'a> Preprocess<'a> {
         ground.check_contrast(&rasters)?;
         drop(part);
         let part = stage("ties");
-        let (shifts_px, contradicting) = align(&ground, &rasters, &config.cameras, matching, scene.gsd_m);
+        let (shifts_px, left_out) = align(&ground, &rasters, &config.cameras, matching, scene.gsd_m);
         drop(part);
         if decisions.clouds && shifts_px.iter().flatten().any(|shift| shift.abs() > CLOUDS_AGAIN_PX) {
             let _part = stage("clouds");
             tracing::info!("Searching clouds again with the corrected cameras");
             (rasters, clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
         }
-        clouds::log_shares(&ground, &clouds, &contradicting);
+        clouds::leave_out(&mut rasters, &mut clouds, &left_out);
+        clouds::log_shares(&ground, &clouds, &left_out);
         let aligned = started.elapsed();
         let progress = session.progress("sweep", 100);
         let part = stage("sweep");
@@ -318,7 +319,7 @@ pub fn open_and_sweep(
 }
 
 /// Corrections of the images' pointing, pixels, zero where the configuration excludes them or the estimate is too
-/// small; and whether each image's ties contradict its camera.
+/// small; and whether each image is left out, because its ties contradict its camera.
 fn align(
     ground: &GroundViews,
     rasters: &[Raster],
@@ -327,9 +328,13 @@ fn align(
     gsd_m: f64,
 ) -> (Vec<[f32; 2]>, Vec<bool>) {
     let (align, known) = (cameras.align, &cameras.shifts_px);
-    if !known.is_empty() {
+    if !(known.is_empty() && cameras.left_out.is_empty()) {
         let shift = |image: &&SceneImage| known.get(&image.name).copied().unwrap_or_default();
-        return (ground.images.iter().map(shift).collect(), Vec::new());
+        let is_out = |image: &&SceneImage| cameras.left_out.contains(&image.name);
+        return (
+            ground.images.iter().map(shift).collect(),
+            ground.images.iter().map(is_out).collect(),
+        );
     }
     let none = (vec![[0.0; 2]; ground.images.len()], Vec::new());
     if align == Align::Off {
@@ -337,8 +342,8 @@ fn align(
     }
     match adjustment_of_ties(ground, rasters, matching, gsd_m) {
         Ok(adjustment) => {
-            let contradicting = adjust::contradicting(&ground.images, &adjustment);
-            (worth_correcting(adjust::shifts(&adjustment), align), contradicting)
+            let left_out = adjust::left_out(ground, &adjustment);
+            (worth_correcting(adjust::shifts(&adjustment), align), left_out)
         }
         Err(error) => {
             tracing::warn!("Too few tie points to refine the cameras; using them as delivered ({error})");

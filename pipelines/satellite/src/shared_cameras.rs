@@ -3,7 +3,7 @@
 //! Tiles that find their pointing each by themselves have datums that differ by what ties of one tile leave open. One solve has one gauge,
 //! and an image that a tile shows in a corner is corrected by all that it shows.
 
-use crate::adjust::AdjustInput;
+use crate::adjust::{AdjustInput, contradictions};
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
 use crate::ground::GroundViews;
@@ -20,6 +20,9 @@ use std::collections::BTreeMap;
 pub struct SharedCameras {
     /// Columns and rows by image name, pixels; an image without ties is not there.
     pub shifts_px: BTreeMap<String, [f32; 2]>,
+    /// Names of the images that are left out: their ties contradict their cameras.
+    #[serde(default)]
+    pub left_out: Vec<String>,
     /// Ties that they were found from.
     pub ties: usize,
     /// Patches that had some.
@@ -70,6 +73,15 @@ pub fn shared_cameras(
                 .iter()
                 .map(|correction| correction.shift_px.map(|v| v as f32));
             let shifts = worth_correcting(shifts.collect(), config.cameras.align);
+            let pixels: Vec<usize> = index.images.iter().map(|image| image.size.0 * image.size.1).collect();
+            for contradiction in contradictions(&pixels, &solved) {
+                let name = &index.images[contradiction.image].name;
+                // Only parts of the images were searched: no tie at all is no contradiction.
+                if contradiction.sightings > 0 {
+                    tracing::warn!("{}", contradiction.message(name));
+                    found.left_out.extend(contradiction.is_out.then(|| name.clone()));
+                }
+            }
             let tied = index.images.iter().zip(&solved.images).zip(shifts);
             let tied = tied.filter(|((_, residuals), _)| residuals.sightings > 0);
             found.shifts_px = tied.map(|((image, _), shift)| (image.name.clone(), shift)).collect();

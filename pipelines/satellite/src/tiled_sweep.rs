@@ -70,6 +70,8 @@ struct Decided {
     matching: MatchingParameters,
     /// Corrections of the images' pointing by image name, pixels.
     shifts_px: BTreeMap<String, [f32; 2]>,
+    /// Names of the images that are left out.
+    left_out: Vec<String>,
 }
 
 /// A tile of the surface.
@@ -154,7 +156,8 @@ impl TiledSweep<'_> {
         let Some(scene) = self.open(&tile.area)? else {
             return Ok(None);
         };
-        let Ok(ground) = GroundViews::over(&scene, tile.area, scene.training()) else {
+        let kept = scene.training().filter(|image| !decided.left_out.contains(&image.name));
+        let Ok(ground) = GroundViews::over(&scene, tile.area, kept) else {
             return Ok(None);
         };
         let request = self.request(&ground, decided.matching);
@@ -218,6 +221,7 @@ impl TiledSweep<'_> {
     fn decide(&self) -> Result<Decided, SatelliteError> {
         let mut found: Option<(usize, Decisions, MatchingParameters)> = None;
         let mut shifts_by_image: BTreeMap<String, Vec<[f32; 2]>> = BTreeMap::new();
+        let mut out_by_image: BTreeMap<String, Vec<String>> = BTreeMap::new();
         let mut refused = SatelliteError::too_few_views(0);
         for area in self.patches() {
             let Some(scene) = self.open(&area)? else { continue };
@@ -246,6 +250,11 @@ impl TiledSweep<'_> {
             match adjustment_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
                 Ok(adjustment) => {
                     let shifts_px = adjust::shifts(&adjustment);
+                    for contradiction in adjust::contradictions(&ground.pixels(), &adjustment) {
+                        let name = &ground.images[contradiction.image].name;
+                        let messages = out_by_image.entry(name.clone()).or_default();
+                        messages.extend(contradiction.is_out.then(|| contradiction.message(name)));
+                    }
                     for (image, shift) in ground.images.iter().zip(shifts_px) {
                         shifts_by_image.entry(image.name.clone()).or_default().push(shift);
                     }
@@ -259,6 +268,14 @@ impl TiledSweep<'_> {
         if shifts_by_image.is_empty() && decisions.align != Align::Off {
             tracing::warn!("Too few tie points to refine the cameras; using them as delivered");
         }
+        // An image is left out where most of the patches that show it contradict its camera.
+        out_by_image.retain(|name, messages| {
+            let patches = shifts_by_image.get(name).map_or(0, Vec::len);
+            2 * messages.len() > patches
+        });
+        for message in out_by_image.values().filter_map(|messages| messages.first()) {
+            tracing::warn!("{message}");
+        }
         let (names, shifts): (Vec<String>, Vec<[f32; 2]>) = shifts_by_image
             .into_iter()
             .map(|(name, shifts)| (name, middle(&shifts)))
@@ -266,6 +283,7 @@ impl TiledSweep<'_> {
         let shifts = worth_correcting(shifts, decisions.align);
         Ok(Decided {
             shifts_px: names.into_iter().zip(shifts).collect(),
+            left_out: out_by_image.into_keys().collect(),
             decisions,
             matching,
         })

@@ -7,7 +7,7 @@ use clap::Args;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, estimate};
-use heliosplat_satellite::{Decisions, PlanItem, altitude};
+use heliosplat_satellite::{Decisions, PlanItem, adjust, altitude};
 use heliosplat_scene::{ImagePair, Index, Scene, SceneImage, Split, ValueKind, Values, saturation};
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -31,7 +31,12 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
         return object::inspect(scene);
     }
     let options = args.ingest.options();
-    let scene = altitude::open(&Index::open(scene, options.rpc)?, &options)?;
+    let mut scene = altitude::open(&Index::open(scene, options.rpc)?, &options)?;
+    let contradictions = adjust::findings(&scene, &SatelliteConfig::default());
+    scene
+        .warnings
+        .extend(contradictions.iter().map(|finding| finding.message.clone()));
+    scene.findings.extend(contradictions);
     let coverage = Coverage::of(&scene);
     let decisions = Decisions::of(&scene, &SatelliteConfig::default());
     let mut json = describe(&scene, &coverage, &decisions);

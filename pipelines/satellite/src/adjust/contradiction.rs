@@ -1,37 +1,166 @@
 //! Images whose tie points contradict their cameras.
 
-use heliosplat_rpc::adjust::{Adjustment, FEWEST_SIGHTINGS};
-use heliosplat_scene::SceneImage;
+use crate::config::{Align, SatelliteConfig};
+use crate::ground::{GroundViews, MARGIN_M};
+use crate::plan::Decisions;
+use crate::preprocess::adjustment_of_ties;
+use heliosplat_grid::statistics::upper_median;
+use heliosplat_rpc::adjust::{Adjustment, FEWEST_SIGHTINGS, ImageResiduals};
+use heliosplat_scene::{Area, Finding, Scene, Severity, crop};
 
 /// Share of an image's tie points that agree with the other images; below it, they agree by chance.
 const LEAST_AGREEING: f64 = 0.3;
 /// Raw cameras of vendors are off by up to this, pixels; an adjustment that moves one further has matched something
 /// else, or the camera is that of another image.
 const FARTHEST_PX: f64 = 10.0;
+/// An image that shows this many times the ground of [`FEWEST_SIGHTINGS`] tie points of the others has ties of its own.
+const ENOUGH: f64 = 4.0;
+/// Side of the middle part of a large scene whose ties are searched for a finding, pixels.
+const PATCH_PX: f64 = 1000.0;
 
-/// One flag per image, true if its ties contradict its camera. Warns of these, and of corrections beyond `FARTHEST_PX`.
-pub(crate) fn contradicting(images: &[&SceneImage], adjustment: &Adjustment) -> Vec<bool> {
-    let ties = adjustment.images.iter().zip(&adjustment.corrections);
-    let mut found = Vec::with_capacity(images.len());
-    for (image, (ties, correction)) in images.iter().zip(ties) {
-        let few = ties.good < FEWEST_SIGHTINGS || (ties.good as f64) < LEAST_AGREEING * ties.sightings as f64;
-        let moved_px = correction.shift_px[0].hypot(correction.shift_px[1]);
-        if few {
-            tracing::warn!(
-                "{}: its camera contradicts the others ({} good tie points of {}); give the camera of these pixels, or take \
-                 the image out of the scene",
-                image.name,
-                ties.good,
-                ties.sightings
-            );
-        } else if moved_px > FARTHEST_PX {
-            tracing::warn!(
-                "{}: its camera had to be moved by {moved_px:.1} px, more than the {FARTHEST_PX:.0} px that cameras of vendors are off; is \
-                 it the camera of this image?",
-                image.name
-            );
+/// A camera that the ties of its image contradict.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Contradiction {
+    /// Index of the image.
+    pub(crate) image: usize,
+    /// True if the image is left out: its ties do not agree even with its camera corrected.
+    pub(crate) is_out: bool,
+    good: usize,
+    pub(crate) sightings: usize,
+    moved_px: f64,
+}
+
+impl Contradiction {
+    /// One line: image, numbers, remedy.
+    pub(crate) fn message(&self, name: &str) -> String {
+        let Self {
+            good,
+            sightings,
+            moved_px,
+            ..
+        } = self;
+        match self.is_out {
+            true => format!(
+                "{name}: its camera contradicts the others ({good} good tie points of {sightings}), and it is left out; give the camera of \
+                 these pixels"
+            ),
+            false if *moved_px > FARTHEST_PX => format!(
+                "{name}: its camera had to be moved by {moved_px:.1} px, more than the {FARTHEST_PX:.0} px that cameras of vendors are off; \
+                 is it the camera of this image?"
+            ),
+            false => format!(
+                "{name}: its camera contradicts the others ({good} good tie points of {sightings}); give the camera of these pixels, or \
+                 take the image out of the scene"
+            ),
         }
-        found.push(few);
+    }
+}
+
+/// Share of an image's tie points that agree with the others.
+fn share(ties: &ImageResiduals) -> f64 {
+    ties.good as f64 / ties.sightings.max(1) as f64
+}
+
+fn is_sound(ties: &ImageResiduals) -> bool {
+    ties.good >= FEWEST_SIGHTINGS && share(ties) >= LEAST_AGREEING
+}
+
+/// The cameras that their images' ties contradict. `pixels` are those of the images that show the ground. An image is
+/// left out only where two others agree.
+pub(crate) fn contradictions(pixels: &[usize], adjustment: &Adjustment) -> Vec<Contradiction> {
+    let images = || adjustment.images.iter().zip(pixels);
+    let sound = || images().filter(|(ties, _)| is_sound(ties));
+    let mut shares: Vec<f64> = sound().map(|(ties, _)| share(ties)).collect();
+    let mut densities: Vec<f64> = sound()
+        .map(|(ties, &pixels)| ties.good as f64 / pixels.max(1) as f64)
+        .collect();
+    let usual = upper_median(&mut shares).unwrap_or(0.0);
+    let density = upper_median(&mut densities).unwrap_or(0.0);
+    let mut found = Vec::new();
+    for (image, ((ties, &pixels), correction)) in images().zip(&adjustment.corrections).enumerate() {
+        let moved_px = correction.shift_px[0].hypot(correction.shift_px[1]);
+        let is_few = !is_sound(ties);
+        let is_far = moved_px > FARTHEST_PX;
+        if !(is_few || is_far) {
+            continue;
+        }
+        let is_shown = density * pixels as f64 >= ENOUGH * FEWEST_SIGHTINGS as f64;
+        // Ties that agree as those of the others do have found the camera, however far it was off.
+        let is_wrong = is_few || share(ties) < usual / 2.0;
+        let others = shares.len() - usize::from(!is_few);
+        found.push(Contradiction {
+            image,
+            is_out: is_shown && is_wrong && others >= 2,
+            good: ties.good,
+            sightings: ties.sightings,
+            moved_px,
+        });
+    }
+    // Nothing is left out where hardly anything would remain.
+    if pixels.len() < 2 + found.iter().filter(|contradiction| contradiction.is_out).count() {
+        found.iter_mut().for_each(|contradiction| contradiction.is_out = false);
     }
     found
+}
+
+/// Warns of the contradictions of the images of `ground`; returns which images are left out.
+pub(crate) fn left_out(ground: &GroundViews, adjustment: &Adjustment) -> Vec<bool> {
+    let mut out = vec![false; ground.images.len()];
+    for contradiction in contradictions(&ground.pixels(), adjustment) {
+        let image = contradiction.image;
+        tracing::warn!("{}", contradiction.message(&ground.images[image].name));
+        out[image] = contradiction.is_out;
+    }
+    out
+}
+
+/// The contradictions between the training images of a scene, by ties in its middle.
+pub fn findings(scene: &Scene, config: &SatelliteConfig) -> Vec<Finding> {
+    let decisions = Decisions::of(scene, config);
+    let area = middle(crop::grown(&scene.area, MARGIN_M), PATCH_PX * scene.gsd_m);
+    let (Ok(ground), Some(matching)) = (GroundViews::over(scene, area, scene.training()), decisions.matching) else {
+        return Vec::new();
+    };
+    // Of two images neither can be the wrong one.
+    if ground.images.len() < 3 || decisions.align == Align::Off {
+        return Vec::new();
+    }
+    let Ok(adjustment) = adjustment_of_ties(&ground, &ground.rasters(), matching, scene.gsd_m) else {
+        return Vec::new();
+    };
+    let finding = |contradiction: Contradiction| {
+        let image = ground.images[contradiction.image];
+        let is_moved = !contradiction.is_out && contradiction.moved_px > FARTHEST_PX;
+        let agreeing = contradiction.good as f64 / contradiction.sightings.max(1) as f64;
+        let (code, value, bound) = match is_moved {
+            true => ("camera-far-off", contradiction.moved_px, FARTHEST_PX),
+            false => ("camera-contradicts-others", agreeing, LEAST_AGREEING),
+        };
+        Finding {
+            code,
+            severity: Severity::Warning,
+            images: vec![image.name.clone()],
+            files: vec![image.path.clone()],
+            value: Some(value),
+            bound: Some(bound),
+            message: contradiction.message(&image.name),
+        }
+    };
+    contradictions(&ground.pixels(), &adjustment)
+        .into_iter()
+        .map(finding)
+        .collect()
+}
+
+/// The middle of an area, at most `side_m` each way.
+fn middle(area: Area, side_m: f64) -> Area {
+    let [half_wide, half_high] =
+        [area.east_m - area.west_m, area.north_m - area.south_m].map(|length_m| length_m.min(side_m) / 2.0);
+    let (east, north) = ((area.east_m + area.west_m) / 2.0, (area.north_m + area.south_m) / 2.0);
+    Area {
+        west_m: east - half_wide,
+        south_m: north - half_high,
+        east_m: east + half_wide,
+        north_m: north + half_high,
+    }
 }

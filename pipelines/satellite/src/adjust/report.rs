@@ -72,7 +72,11 @@ pub fn adjust_scene<'a>(
         })?;
     drop(progress);
     let seconds = begun.elapsed().as_secs_f64();
-    super::contradicting(&ground.images, &adjustment);
+    for mut contradiction in super::contradictions(&ground.pixels(), &adjustment) {
+        // Its camera is written all the same.
+        contradiction.is_out = false;
+        tracing::warn!("{}", contradiction.message(&ground.images[contradiction.image].name));
+    }
     let refit_px = write::cameras(scene, &ground, &adjustment, request)?;
     let shifts: Vec<[f64; 2]> = adjustment.corrections.iter().map(|c| c.shift_px).collect();
     let error = camera_error(scene, &ground.images, &shifts);
