@@ -18,6 +18,7 @@ pub use vectors::ImageVectors;
 
 use super::error::SatelliteError;
 use super::ground::GroundViews;
+use heliosplat::Raster;
 use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use heliosplat_scene::Scene;
@@ -50,6 +51,28 @@ pub struct AdjustInput<'a> {
     pub cell_m: f64,
     /// Parameters of the plane sweeps that the ties lie on.
     pub matching: MatchingParameters,
+}
+
+/// Adjustment of the images' pointing by tie points between them.
+///
+/// # Errors
+/// When there are too few ties.
+pub(super) fn adjustment_of_ties(
+    ground: &GroundViews,
+    rasters: &[Raster],
+    matching: MatchingParameters,
+    gsd_m: f64,
+) -> Result<Adjustment, RpcError> {
+    let none = vec![[0.0; 2]; ground.images.len()];
+    let views = ground.sweep_views(rasters, &none);
+    let input = AdjustInput {
+        ground,
+        views: &views,
+        // Patches of whole pixels, however coarse the model's cells are.
+        cell_m: gsd_m,
+        matching,
+    };
+    input.adjust(BiasModel::Translation, &|_| {})
 }
 
 impl AdjustInput<'_> {

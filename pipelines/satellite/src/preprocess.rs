@@ -1,6 +1,6 @@
 //! Stages before training: clouds, pointing, tie points and the initial surface.
 
-use super::adjust::{self, AdjustInput};
+use super::adjust;
 use super::altitude;
 use super::clouds;
 use super::config::{Align, CameraOptions, SatelliteConfig, THRESHOLD_PX};
@@ -13,8 +13,6 @@ use heliosplat::timeline::stage;
 use heliosplat_radiometry::bridged::{self, Lowered};
 use heliosplat_radiometry::change;
 use heliosplat_radiometry::suns::ShadowSun;
-use heliosplat_rpc::RpcError;
-use heliosplat_rpc::adjust::{Adjustment, BiasModel};
 use heliosplat_scene::{AltitudeSource, ImageSun, Index, IngestOptions, Scene, SceneImage};
 use heliosplat_session::Session;
 use heliosplat_stereo::change::Changes;
@@ -340,7 +338,7 @@ fn align(
     if align == Align::Off {
         return none;
     }
-    match adjustment_of_ties(ground, rasters, matching, gsd_m) {
+    match adjust::adjustment_of_ties(ground, rasters, matching, gsd_m) {
         Ok(adjustment) => {
             let left_out = adjust::left_out(ground, &adjustment);
             (worth_correcting(adjust::shifts(&adjustment), align), left_out)
@@ -350,28 +348,6 @@ fn align(
             none
         }
     }
-}
-
-/// Adjustment of the images' pointing by tie points between them.
-///
-/// # Errors
-/// When there are too few ties.
-pub(super) fn adjustment_of_ties(
-    ground: &GroundViews,
-    rasters: &[Raster],
-    matching: MatchingParameters,
-    gsd_m: f64,
-) -> Result<Adjustment, RpcError> {
-    let none = vec![[0.0; 2]; ground.images.len()];
-    let views = ground.sweep_views(rasters, &none);
-    let input = AdjustInput {
-        ground,
-        views: &views,
-        // Patches of whole pixels, however coarse the model's cells are.
-        cell_m: gsd_m,
-        matching,
-    };
-    input.adjust(BiasModel::Translation, &|_| {})
 }
 
 /// The shifts if `align` is on or they are large enough; else none.

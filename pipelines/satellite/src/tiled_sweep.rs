@@ -13,7 +13,7 @@ use super::error::SatelliteError;
 use super::ground::{GroundViews, volume};
 use super::limits::AtLimits;
 use super::plan::Decisions;
-use super::preprocess::{adjustment_of_ties, clear_rasters, log_lowered, lower, sweep, worth_correcting};
+use super::preprocess::{clear_rasters, log_lowered, lower, sweep, worth_correcting};
 use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
 use heliosplat::timeline::stage;
 use heliosplat_grid::statistics::upper_median;
@@ -247,7 +247,7 @@ impl TiledSweep<'_> {
             let (rasters, _) = clear_rasters(&ground, &decisions, &vec![[0.0; 2]; images], &request);
             drop(part);
             let _part = stage("ties");
-            match adjustment_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
+            match adjust::adjustment_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
                 Ok(adjustment) => {
                     let shifts_px = adjust::shifts(&adjustment);
                     for contradiction in adjust::contradictions(&ground.pixels(), &adjustment) {

@@ -4,6 +4,7 @@
 //! disparities), and the margin to the best distant alternative is its confidence.
 
 use super::heights::HeightHypotheses;
+use super::parameters::COST_PER_E_FOLD;
 use super::ranges::SearchRanges;
 use heliosplat_grid::parabola_top;
 use rayon::prelude::*;
@@ -24,9 +25,6 @@ pub(super) struct HeightChoice {
 
 /// Levels next to the best that belong to the same minimum of costs and are no alternative.
 const SAME_VALLEY: usize = 2;
-/// Summed cost by which a level is e times less probable than another of one minimum: with it, and the spread of altitudes
-/// around a cell, about 68 % of the errors on `block` and `tiny`, seed 1, lie within one deviation (docs/lab/known.md).
-pub(super) const COST_PER_E_FOLD: f32 = 30.0;
 
 /// Chooses an altitude for every cell. Local minima whose summed cost lies at most `tolerance` above the least stay
 /// candidates for the next search. A level of another minimum is e times less probable for each `alternative_cost` more.

@@ -1,9 +1,9 @@
 //! Images whose tie points contradict their cameras.
 
+use super::adjustment_of_ties;
 use crate::config::{Align, SatelliteConfig};
 use crate::ground::{GroundViews, MARGIN_M};
 use crate::plan::Decisions;
-use crate::preprocess::adjustment_of_ties;
 use heliosplat_grid::statistics::upper_median;
 use heliosplat_rpc::adjust::{Adjustment, FEWEST_SIGHTINGS, ImageResiduals};
 use heliosplat_scene::{Area, Finding, Scene, Severity, crop};
