@@ -53,7 +53,8 @@ pub struct AdjustInput<'a> {
     pub matching: MatchingParameters,
 }
 
-/// Adjustment of the images' pointing by tie points between them.
+/// Adjustment of the images' pointing by tie points between them: the whole one, or that at half resolution, in half of
+/// the time.
 ///
 /// # Errors
 /// When there are too few ties.
@@ -62,6 +63,7 @@ pub(super) fn adjustment_of_ties(
     rasters: &[Raster],
     matching: MatchingParameters,
     gsd_m: f64,
+    is_whole: bool,
 ) -> Result<Adjustment, RpcError> {
     let none = vec![[0.0; 2]; ground.images.len()];
     let views = ground.sweep_views(rasters, &none);
@@ -72,7 +74,10 @@ pub(super) fn adjustment_of_ties(
         cell_m: gsd_m,
         matching,
     };
-    input.adjust(BiasModel::Translation, &|_| {})
+    match is_whole {
+        true => input.adjust(BiasModel::Translation, &|_| {}),
+        false => input.at_half_resolution(),
+    }
 }
 
 impl AdjustInput<'_> {
@@ -89,9 +94,7 @@ impl AdjustInput<'_> {
     /// # Errors
     /// As [`Self::adjust`].
     pub(crate) fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<(Adjustment, Vec<Track>), RpcError> {
-        let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m, self.matching));
-        progress(0.1);
-        let half = self.at_half_resolution(&coarse)?;
+        let half = self.at_half_resolution()?;
         progress(0.5);
         let (full, tracks) = self.round(&shifts(&half), 1, model)?;
         progress(1.0);
@@ -109,14 +112,18 @@ impl AdjustInput<'_> {
         Ok((full, tracks))
     }
 
-    /// The better of two adjustments: from the coarse shifts and from none.
-    fn at_half_resolution(&self, coarse: &[[f32; 2]]) -> Result<Adjustment, RpcError> {
+    /// The better of two adjustments at half resolution: from the shifts of a coarse sweep and from none.
+    ///
+    /// # Errors
+    /// As [`Self::adjust`].
+    fn at_half_resolution(&self) -> Result<Adjustment, RpcError> {
+        let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m, self.matching));
         let none = vec![[0.0; 2]; self.views.len()];
         let of = |shifts: &[[f32; 2]]| {
             self.round(shifts, 0, BiasModel::Translation)
                 .map(|(adjustment, _)| adjustment)
         };
-        let (from_coarse, from_none) = (of(coarse), of(&none));
+        let (from_coarse, from_none) = (of(&coarse), of(&none));
         match (from_coarse, from_none) {
             (Ok(a), Ok(b)) => Ok(if agreement(&a) < agreement(&b) { b } else { a }),
             (Ok(a), Err(_)) => Ok(a),

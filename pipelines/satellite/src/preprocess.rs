@@ -338,7 +338,7 @@ fn align(
     if align == Align::Off {
         return none;
     }
-    match adjust::adjustment_of_ties(ground, rasters, matching, gsd_m) {
+    match adjust::adjustment_of_ties(ground, rasters, matching, gsd_m, true) {
         Ok(adjustment) => {
             let left_out = adjust::left_out(ground, &adjustment);
             (worth_correcting(adjust::shifts(&adjustment), align), left_out)
