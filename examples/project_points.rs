@@ -31,7 +31,7 @@ fn run() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Pixel of a point, and the point that the pixel shows at the same height.
+/// Formats the pixel of a point, and the longitude and latitude localised from that pixel at the point's height.
 fn there_and_back(camera: &Rpc, point: GeoPoint) -> Result<String, Box<dyn Error>> {
     let pixel = camera.project(point);
     if !(pixel.col.is_finite() && pixel.row.is_finite()) {

@@ -30,23 +30,22 @@ const SUN_ELEVATION_DEG: f32 = 35.0;
 
 /// A site with its camera and its sun.
 pub struct Site {
-    /// Three colours and their visibility.
+    /// The satellite model with three bands and the sun's visibility.
     pub model: ShadowGs,
-    /// The Gaussians.
+    /// Parameters of the Gaussians, and the shared ones.
     pub parameters: Parameters,
-    /// The camera.
+    /// The camera, 600 km away and 15 degrees off the nadir.
     pub camera: ProjectiveCamera,
-    /// The sun.
+    /// The sun, 35 degrees above the horizon.
     pub sun: Light,
 }
 
 impl Site {
-    /// `count` Gaussians seen by an image of `size_px × size_px`; `sigma` is a Gaussian's standard deviation in
-    /// distances between neighbours (0.6: some fifteen pairs on a pixel).
+    /// A site of `count` Gaussians, seen by an image of `size_px × size_px` pixels. `sigma` is a Gaussian's standard
+    /// deviation in units of the distance between neighbours; with 0.6, some fifteen splats cover a pixel.
     pub fn new(count: usize, size_px: usize, sigma: f32) -> Self {
         let model = ShadowGs::new(ShadowGsOptions {
             bands: BANDS,
-            // Three colours and their visibility: facing would composite the normals too.
             ..ShadowGsOptions::default()
         });
         let mut groups = core_groups();
@@ -55,7 +54,7 @@ impl Site {
         let mut random = Pcg32::seed_from_u64(7);
         let side_m = size_px as f32 * GSD_M;
         let spacing = side_m / (count as f32).sqrt();
-        // Row by row, as a start on a surface lists them.
+        // Row by row, the order in which a start on a surface lists them.
         let per_row = (count as f32).sqrt().ceil() as usize;
         for index in 0..count {
             let cell = [(index % per_row) as f32, (index / per_row) as f32];
@@ -85,7 +84,7 @@ impl Site {
     }
 }
 
-/// Height of the town at a place: blocks of up to 20 m on two cells of five.
+/// Height of the town at a place, metres: blocks of up to 20 m on two cells of five.
 fn height_m(x: f32, y: f32) -> f32 {
     let cell = |v: f32| (v / BLOCK_M).floor() as i32 as u32;
     let hash = cell(x)
@@ -138,7 +137,7 @@ fn camera(size_px: usize) -> ProjectiveCamera {
     )
 }
 
-/// One training step on the site: render, backward pass, Adam step.
+/// A training on the site; each step renders, runs the backward pass and takes an Adam step.
 pub struct Descent {
     site: Site,
     gradients: Parameters,
@@ -146,7 +145,7 @@ pub struct Descent {
 }
 
 impl Descent {
-    /// Ready for the first step.
+    /// A training of `site` that is ready for its first step.
     pub fn new(site: Site) -> Self {
         Self {
             gradients: site.parameters.zeros_like(),
@@ -155,7 +154,8 @@ impl Descent {
         }
     }
 
-    /// One step of three colours, visibility, depth and alpha toward a grey image; returns its pairs.
+    /// Runs one step of three colours, visibility, depth and alpha toward a grey image; returns its number of (splat,
+    /// pixel) pairs.
     pub fn step(&mut self) -> u64 {
         let gaussians = &self.site.parameters.gaussians;
         self.gradients.gaussians.reset(gaussians.count);
@@ -187,7 +187,7 @@ pub struct Lighting<'a> {
 }
 
 impl<'a> Lighting<'a> {
-    /// Ready for the first step, with the sun traced by `sun_visibility`.
+    /// Lighting of `site` that is ready for its first step; `sun_visibility` selects the tracer.
     pub fn new(site: &'a Site, sun_visibility: SunVisibility) -> Self {
         let gaussians = &site.parameters.gaussians;
         Self {
@@ -217,7 +217,7 @@ impl<'a> Lighting<'a> {
     }
 }
 
-/// Gradients of the mean absolute difference to a grey, opaque image.
+/// Gradients of the mean absolute difference to a grey (0.5), opaque image, and a small constant gradient of the depth.
 pub fn toward_grey(maps: &Maps) -> MapGradients {
     let unit = 1.0 / maps.alpha.len() as f32;
     let mut grads = MapGradients::zeros(maps.channels.len(), maps.alpha.len());

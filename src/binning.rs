@@ -13,7 +13,9 @@ const CHUNK: usize = 4096;
 /// The cells that a box touches: first and one past last column and row.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CellSpan {
+    /// First and one past last column.
     pub(crate) columns: (u16, u16),
+    /// First and one past last row.
     pub(crate) rows: (u16, u16),
 }
 
@@ -40,7 +42,7 @@ struct Chunk<T> {
 }
 
 impl<T: Copy + Default + Send + Sync> RowBins<T> {
-    /// Bins boxes to `rows` rows; `item` makes the entry of a box from its index.
+    /// Bins boxes, one for each of `spans`, to `rows` rows of cells; `item` makes the entry of a box from its index.
     pub(crate) fn new(spans: &[CellSpan], rows: usize, item: impl Fn(usize) -> T + Sync) -> Self {
         let chunks = spans
             .par_chunks(CHUNK)
@@ -50,7 +52,7 @@ impl<T: Copy + Default + Send + Sync> RowBins<T> {
         Self { chunks }
     }
 
-    /// The boxes that touch a row, in their order, slice after slice.
+    /// Entries of the boxes that touch a row, in the order of the boxes, one slice per chunk.
     pub(crate) fn row(&self, row: usize) -> impl Iterator<Item = &[T]> {
         self.chunks.iter().map(move |chunk| chunk.row(row))
     }
@@ -82,7 +84,8 @@ impl<T: Copy + Default> Chunk<T> {
     }
 }
 
-/// Start of each cell in the row's list, and the end of the last: a prefix sum over the counts.
+/// Start of each of the row's `columns` cells in the row's list, and the end of the last: prefix sums of the counts.
+/// `row` has the entries of the row, and `span` finds the cells of an entry.
 pub(crate) fn cell_starts<'t, T: Copy + 't>(
     row: impl Iterator<Item = &'t [T]>,
     span: impl Fn(T) -> CellSpan,
@@ -102,17 +105,20 @@ pub(crate) fn cell_starts<'t, T: Copy + 't>(
     starts
 }
 
-/// A row of cells and its part of the list of all cells.
+/// A row of cells, and its part of the list of all cells.
 pub(crate) struct RowList<'l, T> {
+    /// Number of the row.
     pub(crate) row: usize,
-    /// Starts of its cells in `list`.
+    /// Starts of the row's cells in `list`, and the end of the last.
     pub(crate) starts: Vec<u32>,
-    /// Start of `list` in the list of all.
+    /// Start of `list` in the list of all cells.
     pub(crate) base: u32,
+    /// Entries of the row, cell after cell.
     pub(crate) list: &'l mut [T],
 }
 
-/// Splits the list of all cells into rows, and lists the start of every cell in it and the end of the list.
+/// Splits `list`, resized to hold all cells, into rows; `row_starts` are those of [`cell_starts`], row by row. Returns
+/// the start of every cell in the list, with the end of the list last, and the rows.
 pub(crate) fn split_rows<T: Default + Send>(
     row_starts: Vec<Vec<u32>>,
     list: &mut Vec<T>,

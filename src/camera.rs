@@ -9,15 +9,15 @@ use glam::{DVec3, Vec3};
 /// A projective camera with its image size; pixel centres are at integers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProjectiveCamera {
-    /// Column numerator per metre.
+    /// Coefficients of the column's numerator, pixels per metre.
     pub u: Vec3,
     /// Column of the scene centre, pixels.
     pub u0: f32,
-    /// Row numerator per metre.
+    /// Coefficients of the row's numerator, pixels per metre.
     pub v: Vec3,
     /// Row of the scene centre, pixels.
     pub v0: f32,
-    /// Denominator per metre.
+    /// Coefficients of the denominator, 1/m.
     pub w: Vec3,
     /// Unit vector along which depth is measured, away from the camera.
     pub depth_axis: Vec3,
@@ -28,8 +28,8 @@ pub struct ProjectiveCamera {
 }
 
 impl ProjectiveCamera {
-    /// A camera from f64 coefficients: three per-metre terms and a constant for column and row, three for the
-    /// denominator.
+    /// A camera of `size` (columns, rows; pixels) from f64 coefficients: three per-metre terms and a constant for
+    /// column and row, three for the denominator.
     ///
     /// The depth axis is the ray through the image centre, oriented so that `away` (a rough viewing direction from the
     /// camera to the scene; straight down for satellites) has a positive component along it.
@@ -76,14 +76,14 @@ impl ProjectiveCamera {
         )
     }
 
-    /// Depth of a point: metres along the central ray from the scene centre.
+    /// Depth of a point, metres along the central ray from the scene centre.
     #[inline]
     pub fn depth(&self, p: Vec3) -> f32 {
         self.depth_axis.dot(p)
     }
 
-    /// Rows of the Jacobian: `d col / d p` and `d row / d p`, pixels per metre, at `p` which projects to (`col`,
-    /// `row`).
+    /// Rows of the Jacobian, `d col / d p` and `d row / d p`, pixels per metre, at a point that projects to (`col`,
+    /// `row`) with the denominator `1 + w·p`.
     #[inline]
     pub fn jacobian(&self, col: f32, row: f32, denominator: f32) -> (Vec3, Vec3) {
         let inverse = 1.0 / denominator;
@@ -98,7 +98,7 @@ impl ProjectiveCamera {
 
     /// Common point of all rays, metres; `None` when they are nearly parallel.
     pub fn eye(&self) -> Option<Vec3> {
-        // There both numerators and the denominator vanish: three equations linear in the point, solved in f64.
+        // At the eye both numerators and the denominator vanish: three equations linear in the point, solved in f64.
         let (u, v, w) = (self.u.as_dvec3(), self.v.as_dvec3(), self.w.as_dvec3());
         let det = u.dot(v.cross(w));
         if det.abs() <= 1e-12 * u.length() * v.length() {
@@ -130,7 +130,7 @@ impl ProjectiveCamera {
         ))
     }
 
-    /// The same camera at an image scaled by `1 / factor` (a pyramid level whose pixels average `factor × factor`).
+    /// This camera for an image scaled by `1 / factor` (a pyramid level whose pixels average `factor × factor`).
     pub fn downscaled(&self, factor: usize) -> Self {
         let f = factor as f32;
         // Pixel centres at integers: col' = (col + 0.5)/f - 0.5, an affine map of (u, u0) with the denominator mixed
@@ -147,7 +147,7 @@ impl ProjectiveCamera {
         }
     }
 
-    /// The same camera with its image moved by (`col`, `row`) pixels, the effect of a pointing bias.
+    /// This camera with its image moved by (`col`, `row`) pixels, the effect of a pointing bias.
     pub fn shifted(&self, col: f32, row: f32) -> Self {
         Self {
             u: self.u + self.w * col,

@@ -1,10 +1,10 @@
 //! Exponential and logarithm for loops over lanes: no branch, no call, the same bits on every machine. The coefficients
 //! of both polynomials are those of Cephes (Moshier, `expf` and `logf`).
 
-/// Adding it to a number below 2²² leaves the nearest whole number in the low bits: 1.5 · 2²³.
+/// The number `1.5 · 2²³`: added to a number below 2²², it leaves the nearest whole number in the sum's low bits.
 pub(crate) const MAGIC: f32 = 12_582_912.0;
 
-/// The whole part of a number from 0 to below 2²², as a number and as an integer; conversions are slow in lanes.
+/// Whole part of a number from 0 to below 2²², as a float and as an integer; avoids casts, which are slow in lanes.
 #[inline(always)]
 pub fn floor(x: f32) -> (f32, u32) {
     let nearest = (x + MAGIC) - MAGIC;
@@ -12,7 +12,7 @@ pub fn floor(x: f32) -> (f32, u32) {
     (whole, (whole + MAGIC).to_bits() & 0x003f_ffff)
 }
 
-/// An integer below 2²² as a number.
+/// An integer below 2²² as a float, without a cast.
 #[inline(always)]
 pub fn number(n: u32) -> f32 {
     f32::from_bits(MAGIC.to_bits() | n) - MAGIC
@@ -49,7 +49,7 @@ pub fn ln(x: f32) -> f32 {
     if x.is_nan() { x } else { sum }
 }
 
-/// `1 / (1 + e^-x)`.
+/// The logistic function `1 / (1 + e^-x)`, by [`exp`].
 #[inline(always)]
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))

@@ -14,9 +14,9 @@ pub const POSITION: usize = 0;
 pub const LOG_SCALE: usize = 1;
 /// Index of the group of rotations: quaternion `x, y, z, w`, not necessarily unit.
 pub const ROTATION: usize = 2;
-/// Index of the group of opacity logits.
+/// Index of the group of opacities, as logits.
 pub const OPACITY: usize = 3;
-/// Index of the first group a scene model adds.
+/// Index of the first group that a scene model adds.
 pub const FEATURES: usize = 4;
 
 /// Name of a group and numbers per element.
@@ -38,7 +38,7 @@ impl GroupSpec {
     }
 }
 
-/// The four groups every Gaussian has.
+/// Specifications of the four core groups that every Gaussian has, in the order of their indices.
 pub fn core_groups() -> Vec<GroupSpec> {
     vec![
         GroupSpec::new("position", 3),
@@ -62,7 +62,7 @@ pub struct Group {
 pub struct Table {
     /// Number of elements.
     pub count: usize,
-    /// The groups.
+    /// Groups, each with values for all elements.
     pub groups: Vec<Group>,
 }
 
@@ -93,17 +93,17 @@ impl Table {
         }
     }
 
-    /// The values of a group.
+    /// Values of group `index`, element after element.
     pub fn group(&self, index: usize) -> &[f32] {
         &self.groups[index].values
     }
 
-    /// The values of a group, to write.
+    /// Values of group `index`, element after element, to write.
     pub fn group_mut(&mut self, index: usize) -> &mut [f32] {
         &mut self.groups[index].values
     }
 
-    /// The elements `indices`, in that order; an index may come more than once.
+    /// A table of the elements `indices`, in that order; an index may come more than once.
     pub fn gather(&self, indices: &[u32]) -> Self {
         let groups = self
             .groups
@@ -165,12 +165,16 @@ impl Table {
     }
 }
 
-/// Gradient to the core parameters of one Gaussian.
+/// Gradient of a loss to the core parameters of one Gaussian.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct CoreGradient {
+    /// Gradient to the centre, 1/m.
     pub(crate) position: Vec3,
+    /// Gradient to the log scales.
     pub(crate) log_scale: Vec3,
+    /// Gradient to the raw quaternion `x, y, z, w`.
     pub(crate) rotation: [f32; 4],
+    /// Gradient to the opacity logit.
     pub(crate) opacity: f32,
 }
 
@@ -213,7 +217,7 @@ impl Table {
             })
     }
 
-    /// Adds to each of the Gaussians `indices`, which are in ascending order, the `gradient` for its place among them.
+    /// Adds to each of the Gaussians `indices`, in ascending order, the `gradient` for its place among them.
     ///
     /// # Panics
     /// When the indices are not in ascending order.
@@ -221,8 +225,9 @@ impl Table {
         self.add_core_in_blocks::<1>(indices, |places, add| add(0, &gradient(places.start)));
     }
 
-    /// The same in blocks of up to `N` consecutive indices. `gradients` receives the places of a block and a function
-    /// that adds to the first, second and so on of them.
+    /// Adds to each of the Gaussians `indices`, in ascending order, in blocks of up to `N` consecutive ones.
+    /// `gradients` receives the places of a block among the indices and a function that adds to the first, second and
+    /// so on Gaussian of the block.
     ///
     /// # Panics
     /// When the indices are not in ascending order.
@@ -248,8 +253,8 @@ impl Table {
         });
     }
 
-    /// Calls `add` with the place of each of the elements `indices`, which are in ascending order, and its values in a
-    /// group.
+    /// Calls `add` in parallel for each of the elements `indices`, in ascending order, with its place among them and
+    /// its values in `group`.
     ///
     /// # Panics
     /// When the indices are not in ascending order.
@@ -259,14 +264,14 @@ impl Table {
         in_order(values, width, indices, |place, values| add(place, values));
     }
 
-    /// Adds to one Gaussian.
+    /// Adds `gradient` to Gaussian `index`; an index beyond the end has no effect.
     pub(crate) fn add_core_to(&mut self, index: usize, gradient: &CoreGradient) {
         let chunk = self.core_chunks_mut(1).skip(index).take(1);
         chunk.for_each(|mut chunk| chunk.add(0, gradient));
     }
 
-    /// Calls `make` for every range of `range` Gaussians, with its number and a function that adds to a Gaussian of the
-    /// range.
+    /// Calls `make` in parallel for every `range` consecutive Gaussians, with the number of the range and a function
+    /// that adds to a Gaussian by its offset in the range.
     pub(crate) fn add_core_by_range(
         &mut self,
         range: usize,
@@ -278,7 +283,8 @@ impl Table {
     }
 }
 
-/// Calls `change` in parallel with every place in `indices`, which ascend, and the value of that index.
+/// Calls `change` in parallel for each of `indices`, in ascending order, with its place among them and the value of
+/// that index.
 ///
 /// # Panics
 /// When the indices are not in ascending order.
@@ -307,7 +313,7 @@ fn in_order<T: Send>(values: &mut [T], width: usize, indices: &[u32], change: im
     });
 }
 
-/// The unit quaternion along `q`; identity when `q` is degenerate.
+/// The unit quaternion along `q`; the identity when the norm of `q` is below 1e-12 or not finite.
 #[inline]
 pub fn normalised(q: [f32; 4]) -> Quat {
     let norm = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
@@ -319,8 +325,8 @@ pub fn normalised(q: [f32; 4]) -> Quat {
 
 /// Gradient of a loss to a raw quaternion from its gradient to the rotation matrix built of the normalised one.
 ///
-/// `d_rotation` holds `∂L/∂R` column by column. The result is projected on the tangent of the sphere and divided by
-/// the norm, which is the derivative of the normalisation; zero when the quaternion is degenerate.
+/// `d_rotation` holds `∂L/∂R` column by column. The result is projected on the tangent of the sphere and divided by the
+/// norm, which is the derivative of the normalisation. It is zero when the norm is below 1e-12 or not finite.
 pub fn rotation_backward(raw: [f32; 4], d_rotation: Mat3) -> [f32; 4] {
     let norm = (raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2] + raw[3] * raw[3]).sqrt();
     if norm < 1e-12 || !norm.is_finite() {
@@ -353,7 +359,7 @@ pub fn sigmoid(x: f32) -> f32 {
     }
 }
 
-/// The inverse of [`sigmoid`], for probabilities inside (0, 1).
+/// Inverse of [`sigmoid`], `ln(p / (1 - p))`, for probabilities inside (0, 1).
 #[inline]
 pub fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()

@@ -13,7 +13,7 @@
 //! | [`splat`] | Gaussians to splats, splats to tiles, tiles to composited maps; backward of each |
 //! | [`trace`] | transmittance from every Gaussian toward the light; backward to occluders and origins |
 //! | [`shade`] | shading formulas with their gradients |
-//! | [`model`] | the trait of a scene model, and its implementations: rasterised channels, and how they become pixels |
+//! | [`model`] | trait of a scene model, and its implementations: rasterised channels and their composition to pixels |
 //! | [`render`] | one pass: project, trace, features, rasterise, compose; and its backward pass |
 //! | [`loss`] | photometric, geometric and shadow losses on images and maps; smoothness between neighbours |
 //! | [`optim`] | Adam, learning rates of parameter groups, density control |

@@ -6,9 +6,9 @@ use glam::Vec3;
 /// A light source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Light {
-    /// Parallel light; unit vector toward the light.
+    /// Parallel light, by the unit vector toward it.
     Directional(Vec3),
-    /// A point light; its position in metres.
+    /// A point light, by its position in metres (or scene units, for objects).
     Point(Vec3),
 }
 

@@ -1,9 +1,8 @@
 //! Scene models: the trait through which a kind of scene plugs into the shared engine, and its implementations.
 //!
-//! A [`SceneModel`] defines which parameters it adds to each Gaussian and which it shares between all, with their
-//! learning rates; how those become rasterised channels for a view and a light; how composited channels become a pixel;
-//! and the gradients of both. The rasteriser, the tracer, the losses, the optimiser and the trainer depend on no
-//! particular model.
+//! A [`SceneModel`] defines the parameters that it adds to each Gaussian and those that all share, with their learning
+//! rates; the rasterised channels for a view and a light; the composition of channels to pixels; and the gradients of
+//! both. The rasteriser, the tracer, the losses, the optimiser and the trainer depend on no particular model.
 
 mod background;
 pub mod network;
@@ -35,7 +34,7 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// Zeros of the same shape.
+    /// Parameters of the same shape, all zero.
     pub fn zeros_like(&self) -> Self {
         Self {
             gaussians: self.gaussians.zeros_like(),
@@ -52,27 +51,28 @@ impl Parameters {
 /// One training image.
 #[derive(Debug, Clone)]
 pub struct View {
-    /// Its name in reports.
+    /// Name in reports.
     pub name: String,
-    /// Its camera.
+    /// Camera of the image.
     pub camera: ProjectiveCamera,
-    /// Its pixels, in the model's units; NaN where missing; shared with the scene that they were read from.
+    /// Pixels, in the model's units, NaN where missing; shared with the scene that they were read from.
     pub image: Arc<Raster>,
-    /// The light of its scene, if known.
+    /// Light on the scene, if known.
     pub light: Option<Light>,
-    /// Index of its per-image parameters.
+    /// Index of the per-image parameters.
     pub appearance: usize,
     /// Weight of each pixel in the losses, 0 to 1, `[row][column]`.
     pub weight: Vec<f32>,
     /// Prior of the sun's visibility: 1 where a pixel is probably lit, 0 in shadow, NaN where unknown; `[row][column]`.
     pub visibility_prior: Option<Vec<f32>>,
-    /// Saturation value of each band: a pixel with it was that bright or brighter. Empty where no value is clipped.
+    /// Saturation value of each band: the true brightness of a pixel at this value is that or more. Empty when no value
+    /// is clipped.
     pub ceiling: Vec<f32>,
 }
 
 impl View {
-    /// The pixels to compare `image` with: where a value is clipped and `image` is brighter, that of `image`, because
-    /// the true value is unknown above saturation.
+    /// Pixels to compare a rendered `image` with: those of this view, but the rendered value where a pixel is saturated
+    /// and `image` is brighter, because the true value above saturation is unknown.
     pub fn truth(&self, image: &Raster) -> Cow<'_, Raster> {
         let mut truth = Cow::Borrowed(&*self.image);
         for (band, &ceiling) in self.ceiling.iter().enumerate().filter(|(_, c)| c.is_finite()) {
@@ -92,31 +92,31 @@ impl View {
 /// The state and the view that a model computes features and pixels from.
 #[derive(Clone, Copy)]
 pub struct Context<'a> {
-    /// All parameters.
+    /// Parameters of the model.
     pub parameters: &'a Parameters,
-    /// The camera of the view.
+    /// Camera of the view.
     pub camera: &'a ProjectiveCamera,
-    /// The light of the view.
+    /// Light of the view, if any.
     pub light: Option<Light>,
-    /// Index of its per-image parameters; `None` renders with those of the reference image.
+    /// Index of the view's per-image parameters; `None` renders with those of the reference image.
     pub appearance: Option<usize>,
 }
 
 /// The splats of a view, for which a model computes features.
 #[derive(Clone, Copy)]
 pub struct Seen<'a> {
-    /// The projected Gaussians.
+    /// Splats and their Gaussians.
     pub projected: &'a Projected,
-    /// Transmittance toward the light, one per splat; ones where the model does not need it.
+    /// Transmittance toward the light, 0 to 1, one per splat; ones if the model does not need it.
     pub transmittance: &'a [f32],
     /// Numbers per splat in the feature array.
     pub stride: usize,
 }
 
-/// A named value for the log.
+/// A loss, by name and unweighted value, for the log.
 pub type NamedLoss = (&'static str, f64);
 
-/// A kind of scene.
+/// A kind of scene: its parameters, rasterised channels and pixels, and their gradients.
 pub trait SceneModel: Send + Sync {
     /// Name, as in configurations and files.
     fn name(&self) -> &'static str;
@@ -128,7 +128,7 @@ pub trait SceneModel: Send + Sync {
     /// The groups of parameters shared by all Gaussians (a table of one element).
     fn global_parameters(&self) -> Vec<ParameterGroup>;
 
-    /// Gaussians present in a view; `None`: all. Light passes through the others.
+    /// Flag per Gaussian, true if it is present in a view; `None`: all are. Light passes through the others.
     fn present(&self, _parameters: &Parameters, _appearance: Option<usize>) -> Option<Vec<bool>> {
         None
     }
@@ -143,7 +143,7 @@ pub trait SceneModel: Send + Sync {
         self.global_parameters().into_iter().map(|group| group.spec).collect()
     }
 
-    /// Rasterised channels the model writes into the features.
+    /// Number of rasterised channels that the model writes into the features.
     fn channels(&self) -> usize;
 
     /// True if features need the transmittance toward the light.
@@ -152,7 +152,8 @@ pub trait SceneModel: Send + Sync {
     /// Writes the channels of every splat: `out[splat * stride + channel]`.
     fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]);
 
-    /// From gradients of the features, adds those of the parameters, and of the transmittance to `d_transmittance`.
+    /// Adds the gradients of the parameters to `grads`, and of the transmittance to `d_transmittance`, from those of
+    /// the features, `d_features`, `[splat][stride]`.
     fn features_backward(
         &self,
         context: &Context,
@@ -172,7 +173,7 @@ pub trait SceneModel: Send + Sync {
         over_background(maps, self.background())
     }
 
-    /// From the gradient of the image, adds those of the maps and of the shared parameters.
+    /// Adds the gradients of the maps to `d_maps`, and of the shared parameters to `grads`, from that of the image.
     fn compose_backward(
         &self,
         _context: &Context,

@@ -14,7 +14,7 @@ pub struct Raster {
 }
 
 impl Raster {
-    /// A raster of one value.
+    /// A raster whose pixels all have `value`.
     pub fn filled(width: usize, height: usize, bands: usize, value: f32) -> Self {
         Self {
             width,
@@ -24,17 +24,17 @@ impl Raster {
         }
     }
 
-    /// Pixels of one plane.
+    /// Number of pixels of one plane.
     pub fn plane_len(&self) -> usize {
         self.width * self.height
     }
 
-    /// One plane.
+    /// Plane `band`, row after row.
     pub fn plane(&self, band: usize) -> &[f32] {
         &self.values[band * self.plane_len()..(band + 1) * self.plane_len()]
     }
 
-    /// One plane as a raster of its own.
+    /// Plane `band` as a raster of one band.
     pub fn band(&self, band: usize) -> Self {
         Self {
             width: self.width,
@@ -44,19 +44,20 @@ impl Raster {
         }
     }
 
-    /// One plane, to write.
+    /// Plane `band`, row after row, to write.
     pub fn plane_mut(&mut self, band: usize) -> &mut [f32] {
         let len = self.plane_len();
         &mut self.values[band * len..(band + 1) * len]
     }
 
-    /// The value at a pixel.
+    /// Value of band `band` at a pixel.
     #[inline]
     pub fn at(&self, band: usize, col: usize, row: usize) -> f32 {
         self.values[(band * self.height + row) * self.width + col]
     }
 
-    /// The mean over `factor × factor` blocks, of the values that are not NaN; NaN where all are.
+    /// Means over blocks of `factor × factor` pixels, of the finite values; NaN where a block has none. Pixels at the
+    /// right and lower edge that fill no block are dropped.
     pub fn downscaled(&self, factor: usize) -> Self {
         let (width, height) = (self.width / factor, self.height / factor);
         let mut out = Self::filled(width, height, self.bands, f32::NAN);

@@ -24,7 +24,7 @@ const CHUNK: usize = 4096;
 /// Options of a pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassOptions {
-    /// Gaussians to splats.
+    /// Options of the projection of Gaussians to splats.
     pub projection: ProjectionOptions,
     /// Gradients of light that reach the occluders.
     pub occluder_gradients: OccluderGradients,
@@ -45,7 +45,7 @@ impl Default for PassOptions {
     }
 }
 
-/// Visibility of the light from the Gaussians: how a pass gets it.
+/// Source of the transmittances from the Gaussians to the light in a pass.
 #[derive(Clone, Copy)]
 pub enum Lit<'a> {
     /// Every Gaussian is fully lit.
@@ -61,7 +61,7 @@ pub enum Lit<'a> {
         occluders: &'a Occluders,
         /// Transmittances of an earlier trace, one per Gaussian.
         known: &'a [f32],
-        /// Gaussians that keep theirs.
+        /// Flag per Gaussian, true if it keeps the transmittance in `known`.
         kept: &'a [bool],
     },
 }
@@ -128,13 +128,13 @@ impl PassLight {
 
 /// Results of a backward pass besides the gradients of parameters.
 pub struct PassGradients {
-    /// The splats.
+    /// Splats of the pass.
     pub projected: Projected,
-    /// Gradients of their places and shapes in the image, for density control.
+    /// Gradients to the positions and shapes of the splats in the image, for density control.
     pub splats: Vec<SplatGradient>,
-    /// Their transmittances.
+    /// Transmittance of each splat toward the light, 0 to 1.
     pub transmittances: Vec<f32>,
-    /// Gradients of those.
+    /// Gradient to the transmittance of each splat.
     pub d_transmittances: Vec<f32>,
 }
 
@@ -144,19 +144,19 @@ pub struct Pass<'a> {
     context: Context<'a>,
     light: Lit<'a>,
     options: PassOptions,
-    /// The splats.
+    /// Splats of the view.
     pub projected: Projected,
     bins: Bins,
     lit: PassLight,
     features: Vec<f32>,
     stride: usize,
-    /// The composited maps.
+    /// Composited maps of the view.
     pub maps: Maps,
 }
 
 impl<'a> Pass<'a> {
-    /// Renders the model of `context` through its camera; `light` is how the transmittance toward the context's light
-    /// is found.
+    /// Renders the model of `context` through its camera; `light` is the source of the transmittances toward the
+    /// context's light.
     pub fn new(model: &'a dyn SceneModel, context: Context<'a>, light: Lit<'a>, options: PassOptions) -> Self {
         let gaussians = &context.parameters.gaussians;
         let part = stage("project");
@@ -219,12 +219,12 @@ impl<'a> Pass<'a> {
         }
     }
 
-    /// The camera.
+    /// Camera of the view.
     pub fn camera(&self) -> &ProjectiveCamera {
         self.context.camera
     }
 
-    /// The transmittances of the splats toward the light.
+    /// Transmittances of the splats toward the light, 0 to 1.
     pub fn transmittances(&self) -> &[f32] {
         &self.lit.transmittances
     }
@@ -234,7 +234,7 @@ impl<'a> Pass<'a> {
         self.model.compose(&self.context, &self.maps)
     }
 
-    /// Channel of the first component of the normals.
+    /// Index of the channel of the normals' first component.
     pub fn normal_channel(&self) -> usize {
         self.model.channels()
     }
@@ -245,7 +245,7 @@ impl<'a> Pass<'a> {
         MapGradients::zeros(channels, self.maps.alpha.len())
     }
 
-    /// Sums of per-pixel `planes` at each splat, weighted as the splat is composited: `[splat][plane]`.
+    /// Sums of per-pixel `planes` at each splat, with the weights of its compositing: `[splat][plane]`.
     pub fn spread(&self, planes: &[Vec<f32>]) -> Vec<f32> {
         let _part = stage("rasterise, backward");
         let camera = self.context.camera;
@@ -277,8 +277,8 @@ impl<'a> Pass<'a> {
         all
     }
 
-    /// Backward pass: adds the gradients of all parameters to `grads`, from the gradients of the maps. Frees memory as
-    /// it goes.
+    /// Backward pass: adds the gradients of all parameters to `grads`, from the gradients of the maps. Frees the memory
+    /// of each stage after its use.
     pub fn backward(self, d_maps: MapGradients, grads: &mut Parameters) -> PassGradients {
         let camera = self.context.camera;
         let gaussians = &self.context.parameters.gaussians;
@@ -342,7 +342,7 @@ impl<'a> Pass<'a> {
 
 /// A rendered view for products.
 pub struct Rendering {
-    /// The image.
+    /// Image that the model composes of the maps.
     pub image: Raster,
     /// The maps, the model's channels first, then the normals.
     pub maps: Maps,
@@ -353,7 +353,7 @@ pub fn depths(gaussians: &Table, camera: &ProjectiveCamera, projection: &Project
     depths_and(gaussians, camera, projection, |_| 0.0)
 }
 
-/// Depths, and a value of each Gaussian composited as the one channel.
+/// Composites alpha and depths as [`depths`] does, and `value` of each Gaussian as the only channel.
 pub fn depths_and(
     gaussians: &Table,
     camera: &ProjectiveCamera,
@@ -370,8 +370,8 @@ pub fn depths_and(
     rasteriser.forward(&features, stride)
 }
 
-/// Renders a model once, with normals and all depths whatever `options` contain, and without the state for a backward
-/// pass.
+/// Renders a model once, always with normals and all depths, and without the state for a backward pass. `appearance` is
+/// the index of per-image parameters; `None` takes those of the reference image.
 pub fn render(
     model: &dyn SceneModel,
     parameters: &Parameters,

@@ -17,11 +17,11 @@ pub enum Level {
     Avx512,
 }
 
-/// The variable that caps the level.
+/// Environment variable that caps the level.
 pub const VARIABLE: &str = "HELIOSPLAT_SIMD";
 
 impl Level {
-    /// The best that this processor has.
+    /// The best level that this processor has.
     fn of_processor() -> Self {
         #[cfg(target_arch = "x86_64")]
         {
@@ -66,7 +66,7 @@ pub fn level() -> Level {
     })
 }
 
-/// The level in use, capped where all `conditions` hold.
+/// The level in use, capped at `cap` if all `conditions` hold.
 pub fn level_up_to(cap: Level, conditions: &[bool]) -> Level {
     match conditions.iter().all(|&holds| holds) {
         true => level().min(cap),
@@ -111,7 +111,7 @@ macro_rules! vectorised {
                         return unsafe { avx512 $(::<$($k),+>)? ($($arg),*) };
                     }
                     $crate::simd::Level::Avx2 => {
-                        // SAFETY: as above.
+                        // SAFETY: a level is never above the one detected on the processor.
                         return unsafe { avx2 $(::<$($k),+>)? ($($arg),*) };
                     }
                     $crate::simd::Level::Sse2 => {}

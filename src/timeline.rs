@@ -1,8 +1,8 @@
 //! Times of a run: stages with their parts, each with wall seconds and processor seconds.
 //!
 //! The thread that leads a run opens stages; while a parallel loop runs, that thread waits. So its own processor time
-//! is the work that kept all other threads waiting, whatever else the machine does meanwhile. [`concurrently`] adds the time
-//! during which it waits for one other thread. Stages that other threads open are in their own record.
+//! is the work that kept all other threads waiting, independent of other load on the machine. [`concurrently`] adds the
+//! time during which it waits for one other thread. Stages that other threads open are in their own record.
 //!
 //! ```
 //! use heliosplat::timeline;
@@ -18,18 +18,18 @@ use serde::Serialize;
 use std::cell::RefCell;
 use std::time::Instant;
 
-/// Times of a stage, all its runs together.
+/// Times of a stage, summed over its runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Stage {
-    /// Its name.
+    /// Name of the stage.
     pub stage: &'static str,
-    /// Wall seconds.
+    /// Wall time, seconds.
     pub wall_s: f64,
-    /// Processor seconds of all threads of the process; zero where the system does not measure them.
+    /// Processor time of all threads of the process, seconds; zero where the system does not measure it.
     pub processor_s: f64,
-    /// Processor seconds of the leading thread, and of one that it waited for: work that ran on one core.
+    /// Processor time of the leading thread, and of one that it waited for, seconds: work that ran on one core.
     pub one_core_s: f64,
-    /// Threads used: processor seconds per wall second.
+    /// Mean number of threads in use: processor seconds per wall second.
     pub threads: f64,
     /// Stages within it, in the order of their first run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -91,7 +91,8 @@ impl Clocks {
         }
     }
 
-    /// Counts the processor time since then as that of one core, though no more than one core can do.
+    /// Counts the processor time of other threads since then as work on one core, at most the wall time less this
+    /// thread's own.
     fn count_wait(&self) {
         let now = Self::now();
         let wall_s = (now.wall - self.wall).as_secs_f64();
@@ -115,7 +116,7 @@ fn processor_seconds() -> [f64; 2] {
     [0.0; 2]
 }
 
-/// A stage that is under way; it ends when this is dropped, on the thread that opened it.
+/// A stage that is under way; it ends when this value is dropped, on the thread that opened it.
 #[must_use = "a stage ends when this is dropped"]
 pub struct Running {
     begun: Clocks,
@@ -159,7 +160,7 @@ impl Drop for Running {
     }
 }
 
-/// The finished stages of this thread, which begins a new record. Call it where no stage is open.
+/// Takes the finished stages of this thread, whose record starts anew. Call it while no stage is open.
 pub fn take() -> Vec<Stage> {
     RECORD.take().stages
 }

@@ -1,4 +1,4 @@
-//! The trainer: one view a step, whatever the model.
+//! The trainer: one view per step, for any model.
 
 mod cached_visibility;
 mod checkpoint;
@@ -36,7 +36,7 @@ use rayon::prelude::*;
 
 /// Rejected steps in a row, or steps that saw no Gaussian, after which training stops.
 const REJECTED_LIMIT: usize = 20;
-/// Steps between two builds of the occluders' hierarchy, where that is how light is traced. In between it is fitted to
+/// Steps between two builds of the occluders' hierarchy, if light is traced by one. In between it is refitted to
 /// Gaussians that have moved by hundredths of their size.
 const HIERARCHY_EVERY: usize = 25;
 /// Learning rate of log scales.
@@ -45,7 +45,7 @@ const LOG_SCALE_RATE: f32 = 5e-3;
 const ROTATION_RATE: f32 = 2e-3;
 /// Weight of the photometric loss; the other weights are relative to it.
 const PHOTOMETRIC_WEIGHT: f32 = 10.0;
-/// Share of the structural part in it (Kerbl et al. 2023); without it `olat` loses 0.4 dB (docs/lab/objects.md).
+/// Share of SSIM in the photometric loss (Kerbl et al. 2023); without it `olat` loses 0.4 dB (docs/lab/objects.md).
 const LAMBDA_SSIM: f32 = 0.2;
 /// Depth range, ground sampling distances, beyond which neighbouring pixels are an edge and not a slope.
 const DEPTH_NORMAL_EDGE_GSD: f32 = 3.0;
@@ -56,19 +56,19 @@ const CHUNK: usize = 1 << 14;
 /// Report of one step.
 #[derive(Debug, Clone, Default)]
 pub struct StepReport {
-    /// The step, counted from one.
+    /// Number of the step, counted from one.
     pub step: usize,
-    /// The view, by index.
+    /// Index of the view.
     pub view: usize,
     /// Named loss values, unweighted.
     pub losses: Vec<NamedLoss>,
     /// Mean absolute difference to the image over the pixels trained on.
     pub l1: f64,
-    /// (splat, pixel) pairs of the forward pass.
+    /// Number of (splat, pixel) pairs of the forward pass.
     pub pairs: u64,
-    /// Gaussians after the step.
+    /// Number of Gaussians after the step.
     pub gaussians: usize,
-    /// Fault for which the step was rejected, if it was.
+    /// Fault that rejected the step, if any.
     pub rejected: Option<Fault>,
 }
 
@@ -171,17 +171,17 @@ impl<'a> Trainer<'a> {
         self.options.iterations = iterations;
     }
 
-    /// Views trained on.
+    /// Number of views.
     pub fn views(&self) -> usize {
         self.views.len()
     }
 
-    /// Steps done.
+    /// Number of steps done.
     pub fn steps(&self) -> usize {
         self.step
     }
 
-    /// Steps rejected because of a number that is not finite.
+    /// Number of steps rejected because of a number that is not finite.
     pub fn rejected(&self) -> usize {
         self.rejected
     }
@@ -270,7 +270,7 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// One step.
+    /// Runs one step.
     ///
     /// A step whose losses or gradients are not finite changes nothing but the counts of steps and of rejected ones.
     ///
@@ -328,7 +328,7 @@ impl<'a> Trainer<'a> {
         Ok(report)
     }
 
-    /// Counts a step that must change nothing.
+    /// Counts a rejected step, which must change nothing.
     fn reject(&mut self, fault: &Fault, view: usize) -> Result<(), TrainError> {
         self.rejected += 1;
         self.rejected_in_a_row += 1;

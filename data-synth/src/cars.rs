@@ -7,9 +7,13 @@ use crate::solid::{Finish, Footprint, Solids};
 /// A place where a car may stand.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CarSlot {
+    /// Distance of the bay's centre east of the site's centre, metres.
     pub(crate) x: f64,
+    /// Distance of the bay's centre north of the site's centre, metres.
     pub(crate) y: f64,
+    /// Direction of the car's length, radians from east, counter-clockwise.
     pub(crate) angle_rad: f64,
+    /// Seed of the cars that stand here.
     pub(crate) seed: u64,
 }
 
@@ -30,7 +34,8 @@ const PAINTS: [[f64; 4]; 12] = [
 ];
 
 impl CarSlot {
-    /// Adds the car that stands here on a date, if one does.
+    /// Adds the car that stands here on a date, with the probability `occupancy` (0 to 1). `height_at(x, y)` is the
+    /// altitude of the ground, metres.
     pub(crate) fn build(&self, solids: &mut Solids, date: u64, occupancy: f64, height_at: impl Fn(f64, f64) -> f64) {
         let draw = |salt: u64| unit(hash2(hash2(self.seed, date), salt));
         if draw(1) > occupancy {

@@ -9,7 +9,7 @@ use crate::ray::Ray;
 use crate::sensor::Sensor;
 use rand::RngExt;
 
-/// Share of a pixel hidden by clouds from which it counts as cloud.
+/// Least opacity of clouds, averaged over a pixel, at which the pixel counts as cloud.
 pub(crate) const HIDING: f64 = 0.1;
 
 /// Altitude above the site's centre, metres: that of fair-weather cumulus.
@@ -22,21 +22,23 @@ const BILLOW_M: f64 = 14.0;
 
 /// Lines of sight along each side of an image that sample the shares.
 const PROBES: usize = 48;
-/// Trial positions of the layer. One of several fits; if none does, the nearest is used.
+/// Most trial positions of the layer. If none fits, the one nearest to the limits is used.
 const ATTEMPTS: usize = 400;
-/// Largest distance between the pieces, metres.
+/// Largest offset of the layer along each axis, metres.
 const REACH_M: f64 = 20e3;
 
 /// Size of clouds, and the share of an image that they hide.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct CloudSize {
-    /// The longest wave of the noise, metres, or, if more, as a share of the image's width.
+    /// Least length of the longest wave of the noise, metres.
     wavelength_m: f64,
+    /// Least length of the longest wave of the noise, as a share of the image's width.
     width_share: f64,
     /// Noise at which a cloud's edge begins, and at which it is opaque.
     edge: [f64; 2],
-    /// Share of the image that may be hidden, and share of its middle.
+    /// Range of the hidden share of the image.
     image_share: [f64; 2],
+    /// Range of the hidden share of the middle half of its width and height.
     middle_share: [f64; 2],
     /// Largest opacity of the thin veil that lies everywhere else.
     veil: f64,
@@ -74,7 +76,7 @@ pub(crate) struct CloudField {
     altitude_m: f64,
     /// Position of the site in the noise, metres.
     offset_m: [f64; 2],
-    /// Cosine and sine of the noise's turn: its lattice follows no street.
+    /// Cosine and sine of the angle between the noise's axes and east, so that its lattice follows no street.
     turn: [f64; 2],
     seed: u32,
 }
@@ -82,15 +84,16 @@ pub(crate) struct CloudField {
 /// A cloud in a line of sight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Cloud {
-    /// Opacity of cloud and veil together.
+    /// Opacity of cloud and veil together, 0 to 1.
     pub(crate) opacity: f64,
-    /// Opacity of the cloud alone, for masks.
+    /// Opacity of the cloud alone, 0 to 1, for masks.
     pub(crate) hides: f64,
+    /// Albedo of the cloud, 0 to 1.
     pub(crate) albedo: f64,
 }
 
 impl CloudField {
-    /// Clouds that hide a share of an image within the limits of `size`.
+    /// Random layer whose clouds hide a share of the image within the limits of `size`.
     pub(crate) fn over(sensor: &Sensor, crop: &Crop, size: CloudSize, seed: u64) -> Self {
         let mut random = stream(seed, 0xC10D);
         let turn_rad: f64 = random.random_range(0.0..std::f64::consts::TAU);
@@ -119,7 +122,7 @@ impl CloudField {
         Self { offset_m, ..field }
     }
 
-    /// Share of the light along a line that the layer absorbs.
+    /// Share of the light along a line that the layer absorbs, 0 to 1.
     pub(crate) fn opacity_along(&self, ray: &Ray) -> f64 {
         let place = self.crossing(ray);
         through_both(self.opacity(place), self.veil(place))
@@ -161,8 +164,8 @@ impl CloudField {
         self.size.veil * smoothstep(-0.5, 0.6, fractal(self.seed ^ 0x7E11, x, y, self.wavelength_m, 2))
     }
 
-    /// Intersections of the layer with lines of sight spread evenly over an image, and whether they are in the middle
-    /// half of its width and height.
+    /// Intersections of the layer with lines of sight spread evenly over an image, each with a flag: true in the middle
+    /// half of the width and height.
     fn probes(&self, sensor: &Sensor, crop: &Crop) -> Vec<([f64; 2], bool)> {
         let share = |index: usize| (index as f64 + 0.5) / PROBES as f64;
         let inner = |index: usize| (0.25..0.75).contains(&share(index));
@@ -182,7 +185,7 @@ impl CloudField {
     /// Distance of the hidden shares from their allowed ranges.
     fn excess(&self, probes: &[([f64; 2], bool)]) -> f64 {
         let hidden = |[x, y]: [f64; 2]| self.opacity([x + self.offset_m[0], y + self.offset_m[1]]) >= HIDING;
-        // Hidden and all; in the image and in its middle.
+        // Numbers of hidden probes and of all probes, in the image and in its middle.
         let (mut image, mut middle) = ([0usize; 2], [0usize; 2]);
         for &(point, inner) in probes {
             let hides = usize::from(hidden(point));

@@ -30,6 +30,7 @@ pub(crate) struct Shore {
 }
 
 impl Shore {
+    /// Random shore of a seed.
     pub(crate) fn new(seed: u64) -> Self {
         let direction: f64 = stream(seed, 0x5EA).random_range(0.0..std::f64::consts::TAU);
         Self {
@@ -38,7 +39,7 @@ impl Shore {
         }
     }
 
-    /// Distance of a place from the shore, positive in the covered half, metres (to a tenth).
+    /// Distance of a place from the shore, positive in the covered half, metres. It is accurate to about a tenth.
     pub(crate) fn inside_m(&self, x: f64, y: f64) -> f64 {
         let [east, north] = self.towards;
         let along = x * north - y * east;
@@ -50,12 +51,14 @@ impl Shore {
 /// The sea of a site.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Coast {
+    /// Line between sea and land.
     pub(crate) shore: Shore,
     /// Altitude of the sea, metres of the scene's frame.
     pub(crate) level_m: f64,
 }
 
 impl Coast {
+    /// Coast of a seed. The sea lies 1 m below the lowest place of `relief` within 64 m of the middle.
     pub(crate) fn new(seed: u64, relief: &Relief) -> Self {
         let steps = 33;
         let place = |k: usize| (2.0 * k as f64 / (steps - 1) as f64 - 1.0) * LEVEL_REACH_M;
@@ -68,7 +71,7 @@ impl Coast {
         }
     }
 
-    /// The ground's altitude where the land alone would have `land_m`, metres.
+    /// Altitude of the ground, metres, at a place where the relief alone has the altitude `land_m`.
     pub(crate) fn height_m(&self, land_m: f64, x: f64, y: f64) -> f64 {
         // On large sites land far away may lie lower than the middle: it stays dry.
         let land_m = land_m.max(self.level_m + LEAST_BANK_M);
@@ -81,7 +84,9 @@ impl Coast {
 /// The cover of one half of a city.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Covered {
+    /// Sea beyond a coast.
     Sea(Coast),
+    /// Snow beyond a line.
     Snow(Shore),
 }
 
@@ -99,14 +104,15 @@ impl Covered {
         }
     }
 
-    /// The albedo of snow, where it covers the hit surface.
+    /// Albedo of snow if it covers the hit surface of a class. It lies on ground, roads and buildings, on slopes below
+    /// 60 degrees.
     pub(crate) fn snow_on(&self, hit: &Hit, class: Class) -> Option<Spectrum> {
         let holds = matches!(class, Class::Ground | Class::Road | Class::Building);
         let Self::Snow(shore) = self else { return None };
         if !holds || hit.normal.z < SNOW_STAYS || shore.inside_m(hit.point.x, hit.point.y) < 0.0 {
             return None;
         }
-        // A hundredth of texture: drifts.
+        // Drifts change the albedo by a hundredth.
         let drifts = fractal(shore.seed ^ 0x510, hit.point.x, hit.point.y, 9.0, 3);
         Some(Spectrum::from(SNOW) * (1.0 + 0.01 * drifts))
     }
@@ -127,16 +133,16 @@ pub(crate) struct Waves {
 /// Optical surface of the sea at a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SeaSurface {
-    /// Light that comes out of the water, and foam, as an albedo.
+    /// Albedo of water and foam: light that comes out of the water, without the mirror image.
     pub(crate) albedo: Spectrum,
-    /// Slope of the waves that pixels can see, towards east and north.
+    /// Slope of the waves that pixels resolve, towards east and north.
     pub(crate) slope: [f64; 2],
-    /// Mean square slope of the finer ones.
+    /// Mean square slope of the waves that pixels do not resolve.
     pub(crate) fine_variance: f64,
 }
 
 impl Waves {
-    /// The waves of an image; `slope_variance` is its date's.
+    /// Random waves of an image; `slope_variance` is the mean square slope of all waves on its date.
     pub(crate) fn of_image(seed: u64, slope_variance: f64) -> Self {
         let mut random = stream(seed, 0x3A7E);
         let direction: f64 = random.random_range(0.0..std::f64::consts::TAU);
@@ -148,7 +154,7 @@ impl Waves {
         }
     }
 
-    /// The surface of the sea at a place.
+    /// Surface of the sea at a place (metres east and north of the site's centre).
     pub(crate) fn at(&self, x: f64, y: f64) -> SeaSurface {
         let [cos, sin] = self.wind;
         // Crests lie across the wind: waves are long across it and short along it.
@@ -172,7 +178,7 @@ impl Waves {
 }
 
 impl SeaSurface {
-    /// Unit normal of the waves that pixels can see.
+    /// Unit normal of the waves that pixels resolve.
     pub(crate) fn normal(&self) -> Vector3<f64> {
         Vector3::new(-self.slope[0], -self.slope[1], 1.0).normalize()
     }

@@ -1,5 +1,5 @@
-//! Packing of images: each in one file, or as vendors deliver bundles, a panchromatic file in full resolution and a
-//! multispectral one with pixels four times as wide, each with its own camera.
+//! Bundles of images as vendors deliver them: a panchromatic file in full resolution and a multispectral one with
+//! pixels four times as wide, each with its own camera.
 
 use crate::error::SynthError;
 use crate::noise::hash2;
@@ -13,10 +13,10 @@ use heliosplat_rpc::Rpc;
 
 /// Panchromatic pixels along the side of a multispectral one.
 const RATIO: usize = 4;
-/// Makes the noise of the panchromatic image another than that of the multispectral one.
+/// Salt that makes the panchromatic noise differ from the multispectral noise.
 const PAN_NOISE: u64 = 0x9A;
 
-/// The view as its panchromatic file bears it.
+/// The view under the name of its panchromatic file, `NAME-P1BS`.
 pub(crate) fn panchromatic_view(view: &ViewPlan) -> ViewPlan {
     ViewPlan {
         name: format!("{}-P1BS", view.name),
@@ -24,7 +24,7 @@ pub(crate) fn panchromatic_view(view: &ViewPlan) -> ViewPlan {
     }
 }
 
-/// The exposure of the panchromatic detectors at the same time.
+/// Exposure of the panchromatic detectors at the time of `exposure`, with noise of its own.
 pub(crate) fn panchromatic_exposure<'a>(exposure: &Exposure<'a>) -> Exposure<'a> {
     Exposure {
         bands: BandSet::Pan,
@@ -33,7 +33,10 @@ pub(crate) fn panchromatic_exposure<'a>(exposure: &Exposure<'a>) -> Exposure<'a>
     }
 }
 
-/// Writes the multispectral file of a view from its image in full resolution.
+/// Writes the multispectral file of a view from its image `fine` in full resolution and the camera of that image.
+///
+/// # Errors
+/// `SynthError::Failed` when the file cannot be written.
 pub(crate) fn write_multispectral(
     staging: &Staging,
     request: &SatelliteRequest,
@@ -73,7 +76,7 @@ fn coarse_counts(fine: &[u16], (width, height): (usize, usize), bands: usize) ->
                     sum += u32::from(fine[place * bands + band]);
                 }
                 let pixels = (RATIO * RATIO) as u32;
-                // A mean of 16-bit counts is one.
+                // The mean of 16-bit counts fits in 16 bits.
                 counts.push(((sum + pixels / 2) / pixels) as u16);
             }
         }

@@ -1,4 +1,4 @@
-//! From radiance to the numbers in a file: bands, counts, noise, 8-bit display.
+//! Encoding of radiance in the counts of a file: bands, noise, 8-bit display.
 
 use crate::materials::Spectrum;
 use crate::request::BandSet;
@@ -6,7 +6,8 @@ use crate::request::BandSet;
 /// Weights of red, green, blue and near infrared in a panchromatic band (450 to 800 nm).
 const PAN: [f64; 4] = [0.30, 0.27, 0.22, 0.21];
 
-/// The bands of an image from the four of the renderer.
+/// Bands of an image, and their number, from the red, green, blue and near infrared of the renderer. Unused values are
+/// 0.
 pub(crate) fn bands_of(spectrum: &Spectrum, bands: BandSet) -> ([f32; 4], usize) {
     match bands {
         BandSet::Pan => ([spectrum.dot(&Spectrum::from(PAN)) as f32, 0.0, 0.0, 0.0], 1),
@@ -15,14 +16,14 @@ pub(crate) fn bands_of(spectrum: &Spectrum, bands: BandSet) -> ([f32; 4], usize)
     }
 }
 
-/// Conversion of radiance to the numbers in a file.
+/// Conversion of radiance to the counts of a file. Radiance is relative to the irradiance of the sun above the air.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Encoding {
     /// Counts per unit of radiance.
     pub(crate) gain: f64,
-    /// 1 is a good sensor's noise.
+    /// Noise relative to a good sensor's: 1 is a read noise of 2 counts and its shot noise, 0 is none.
     pub(crate) noise: f64,
-    /// 8 or 16.
+    /// Bits per sample: 16 for linear counts, 8 for display values.
     pub(crate) bits: u8,
 }
 
@@ -34,7 +35,8 @@ pub(crate) const MEAN_GAIN: f64 = 9500.0;
 const DISPLAY_WHITE: f64 = 1500.0;
 
 impl Encoding {
-    /// The number in the file for a radiance; `draw` is a standard normal. 0 is kept for "no data".
+    /// Count of a radiance: 1 to 2047 with 16 bits, 1 to 255 with 8. `draw` is a standard normal number. 0 is kept for
+    /// "no data".
     pub(crate) fn count(&self, radiance: f64, draw: f64) -> u16 {
         let clean = self.gain * radiance;
         // Read noise of 2 counts, and shot noise that grows with the square root of the signal.

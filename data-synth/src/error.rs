@@ -1,4 +1,4 @@
-//! Errors of making a scene.
+//! Errors of scene generation.
 
 /// Reason why a scene could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -12,12 +12,12 @@ pub enum SynthError {
 }
 
 impl SynthError {
-    /// No rational camera fits an image.
+    /// Error for an image, named `image`, that no rational camera fits.
     pub(crate) fn camera(image: &str) -> impl Fn(heliosplat_rpc::RpcError) -> Self {
         move |source| Self::Failed(format!("no rational camera fits the sensor of {image}: {source}"))
     }
 
-    /// A file or folder that cannot be written.
+    /// Error for a file or folder that cannot be written, with its cause `source`.
     pub(crate) fn unwritable(path: &std::path::Path, source: impl std::fmt::Display) -> Self {
         let path = path.display();
         Self::Failed(format!(

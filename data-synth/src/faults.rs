@@ -2,7 +2,7 @@
 //! stretch of display images. `radiometry`, `gloss` and `clouds` make interreflection, glossy surfaces and large
 //! clouds, and `cover` sea and snow.
 //!
-//! Every fault has its own random streams, so that it changes nothing else.
+//! Every fault has its own random streams, so that requesting it leaves all else as it is.
 
 use crate::materials::Spectrum;
 use crate::noise::{hash2, normal, stream};
@@ -38,7 +38,7 @@ pub(crate) fn band_gains(seed: u64, image: usize) -> [f64; 4] {
 pub struct Haze {
     /// Optical depth `δ` in red, straight down.
     pub depth: f64,
-    /// Reflectance of an infinite layer, which determines the airlight `A`.
+    /// Reflectance of an infinite layer, 0 to 1, which determines the airlight `A`.
     pub airlight: f64,
 }
 
@@ -48,7 +48,7 @@ const ANGSTROM: f64 = 1.3;
 const WAVELENGTH_NM: [f64; 4] = [655.0, 550.0, 480.0, 830.0];
 
 impl Haze {
-    /// The haze of a date: from hardly any to a milky day.
+    /// Random haze of a date: optical depth 0.05 to 0.6, reflectance 0.32 to 0.48.
     pub(crate) fn of_date(seed: u64, date: usize) -> Self {
         let mut random = stream(hash2(seed, 0x4A2E), date as u64);
         Self {
@@ -66,19 +66,20 @@ impl Haze {
 /// Stretch of an image for display: `255 ((count - low) / (high - low))^(1 / gamma)`, clipped to 1..255.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Stretch {
-    /// The count of each band that becomes black.
+    /// Count of each band that becomes black.
     pub low: Vec<f64>,
-    /// The count of each band that becomes white.
+    /// Count of each band that becomes white.
     pub high: Vec<f64>,
-    /// The exponent's inverse.
+    /// Gamma, the inverse of the exponent.
     pub gamma: f64,
 }
 
-/// Range of the shares of an image's pixels clipped at either end, and range of the gammas, one per image.
+/// Range of the share of an image's pixels that is clipped at either end.
 const CLIPPED_SHARE: [f64; 2] = [0.005, 0.02];
+/// Range of the gammas, one per image.
 const GAMMA: [f64; 2] = [1.4, 2.2];
 
-/// Turns linear counts, bands interleaved, into 8 bits. 0, "no data", stays 0.
+/// Stretches linear counts, bands interleaved, to 1..255 in place, and returns the stretch. 0, "no data", stays 0.
 pub(crate) fn stretch(counts: &mut [u16], bands: BandSet, seed: u64) -> Stretch {
     let bands = bands.names().len();
     let mut random = stream(seed, 0x57E);

@@ -25,6 +25,7 @@ pub(crate) struct Lobe {
     pub(crate) alpha: f64,
     /// Share of the diffuse albedo that is left.
     pub(crate) diffuse: f64,
+    /// Unit normal of the lobe: that of the surface, tilted for modules on flat roofs.
     pub(crate) normal: Vector3<f64>,
 }
 
@@ -70,7 +71,8 @@ impl Lobe {
         2.0 / (1.0 + (1.0 + self.alpha * self.alpha * tangent2).sqrt())
     }
 
-    /// Radiance towards `to_eye` per irradiance of a distant light on a surface that faces it.
+    /// Radiance towards `to_eye` per irradiance of a distant light on a surface that faces it. Directions are unit
+    /// vectors.
     pub(crate) fn of_light(&self, to_eye: &Vector3<f64>, to_light: &Vector3<f64>) -> Spectrum {
         let (eye, light) = (self.normal.dot(to_eye), self.normal.dot(to_light));
         if eye <= 0.0 || light <= 0.0 {
@@ -82,7 +84,8 @@ impl Lobe {
         self.fresnel(to_eye.dot(&half)) * (density * self.unmasked(eye) * self.unmasked(light) / (4.0 * eye))
     }
 
-    /// One direction of the lobe, and the share of the radiance from there that goes towards `to_eye`.
+    /// Random direction of incident light in the lobe, and the share of its radiance that goes towards `to_eye`; `None`
+    /// if the direction is below the surface. `draw` is a random word.
     pub(crate) fn draw(&self, to_eye: &Vector3<f64>, draw: u64) -> Option<(Vector3<f64>, Spectrum)> {
         let (u, turn) = (unit(hash2(draw, 0x610)), TAU * unit(hash2(draw, 0x611)));
         let cosine = ((1.0 - u) / (1.0 + (self.alpha * self.alpha - 1.0) * u)).sqrt();

@@ -1,4 +1,4 @@
-//! Cameras of real images, so that a made-up site is seen through real geometry, on real dates, under real suns.
+//! Cameras of real images, through which a synthetic site has real geometry, dates and suns.
 
 use crate::error::SynthError;
 use heliosplat_grid::statistics::upper_median;
@@ -13,9 +13,11 @@ const MOST_BYTES: u64 = 64 << 20;
 /// The camera of a real image.
 #[derive(Debug, Clone)]
 pub(crate) struct KnownCamera {
+    /// RPC of the image.
     pub(crate) rpc: Rpc,
+    /// Acquisition time.
     pub(crate) time: Timestamp,
-    /// The ground point of its middle pixel at its RPC's height offset.
+    /// Ground point of the middle pixel at the height offset of the RPC.
     pub(crate) centre: GeoPoint,
 }
 
@@ -79,7 +81,7 @@ fn camera(image: &Value) -> Result<KnownCamera, String> {
     Ok(KnownCamera { rpc, time, centre })
 }
 
-/// `count` of the cameras, evenly through time.
+/// `count` of the cameras, evenly through time. `cameras` are in order of time.
 pub(crate) fn thinned(cameras: Vec<KnownCamera>, count: usize) -> Vec<KnownCamera> {
     let all = cameras.len();
     let kept: Vec<usize> = (0..count).map(|k| (2 * k + 1) * all / (2 * count)).collect();

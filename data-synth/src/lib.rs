@@ -50,7 +50,7 @@
 //! | `clouds`, `faults`, `gloss` | clouds, gains, haze and stretch, the lobe of glossy surfaces |
 //! | `radiometry` | sun, sky, interreflection, and the encoding of light in counts |
 //! | `plan`, `render`, `truth` | place, dates and views; images; truth rasters |
-//! | `nadir`, `relit` | the view from straight above; truth under suns of no image, hours of sun |
+//! | `nadir`, `relit` | the view from straight above; truth under additional suns, hours of sun |
 //! | `write`, `truth_files`, `delivery`, `satellite` | files; truth rasters; images in two files as vendors pack them; the steps in order |
 //! | `objects` | everything about captures of objects |
 //! | [`utm`] | Transverse Mercator without PROJ, for the truth rasters |

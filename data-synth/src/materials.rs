@@ -35,14 +35,14 @@ impl Class {
 pub(crate) struct Season {
     /// 1 at the height of summer, 0 in the depth of winter.
     pub(crate) green: f64,
-    /// 1 when leaves are at their most coloured.
+    /// Colouring of leaves, 0 (none) to 1.
     pub(crate) autumn: f64,
     /// Dryness of the grass, 0 to 1.
     pub(crate) dry: f64,
 }
 
 impl Season {
-    /// The season the truth rasters show.
+    /// Season of the truth rasters.
     pub(crate) const REFERENCE: Season = Season {
         green: 0.8,
         autumn: 0.0,
@@ -50,7 +50,7 @@ impl Season {
     };
 }
 
-/// Material of a surface. Colours are mean albedos.
+/// Material of a surface. Colours are mean albedos, 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Material {
     Asphalt(Spectrum),
@@ -80,21 +80,25 @@ pub(crate) enum Material {
     Court(Spectrum, [f64; 2]),
     /// Parking bays in rows along u, bay width and row pitch in metres.
     Parking(Spectrum, [f64; 2]),
-    /// A street along u, half width in metres; the rest follows from the half length.
+    /// A street along u with its markings, half length and half width in metres.
     Street(Spectrum, [f64; 2]),
 }
 
+/// Grey of the albedo `level`, a little darker in blue and brighter in near infrared.
 pub(crate) fn grey(level: f64) -> Spectrum {
     Spectrum::new(level, level, level * 0.98, level * 1.15)
 }
 
 const WHITE_PAINT: [f64; 4] = [0.52, 0.52, 0.50, 0.50];
 
-/// Position on a surface: its own two coordinates in metres, and its own random number.
+/// Position on a surface, and the random number of the surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Spot {
+    /// First texture coordinate, metres.
     pub(crate) u: f64,
+    /// Second texture coordinate, metres.
     pub(crate) v: f64,
+    /// Random number of the surface.
     pub(crate) seed: u32,
 }
 

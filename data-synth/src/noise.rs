@@ -11,17 +11,17 @@ pub(crate) fn hash2(a: u64, b: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A random stream of its own for each `label` of a seed, so that a change in one place moves nothing elsewhere.
+/// Separate random stream for each `label` of a seed, so that a change in one place moves nothing elsewhere.
 pub(crate) fn stream(seed: u64, label: u64) -> Pcg64Mcg {
     Pcg64Mcg::seed_from_u64(hash2(seed, label))
 }
 
-/// Uniform in [0, 1) from a hash.
+/// Uniform number in [0, 1) from a hash.
 pub(crate) fn unit(hash: u64) -> f64 {
     (hash >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// Standard normal from a hash (Box-Muller on its two halves).
+/// Standard normal number from a hash, by the transform of Box and Muller.
 pub(crate) fn normal(hash: u64) -> f64 {
     let u = 1.0 - unit(hash);
     let v = unit(hash2(hash, 0x5EED));
@@ -53,7 +53,8 @@ pub(crate) fn cell_noise(seed: u32, x: f64, y: f64) -> f64 {
     lattice(seed, x.floor() as i64, y.floor() as i64)
 }
 
-/// Sum of octaves of [`noise`] from `wavelength` downwards, each half as long and half as strong; about [-1, 1].
+/// Sum of octaves of [`noise`] from `wavelength` (in the units of `x` and `y`) downwards, each about half as long and
+/// half as strong as the one before; about [-1, 1].
 pub(crate) fn fractal(seed: u32, x: f64, y: f64, wavelength: f64, octaves: u32) -> f64 {
     let (mut sum, mut strength, mut scale) = (0.0, 1.0, 1.0 / wavelength);
     for octave in 0..octaves {

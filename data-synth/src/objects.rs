@@ -30,19 +30,19 @@ const FIELD_OF_VIEW: f64 = 0.691_111_2;
 /// Summary of a written capture.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct ObjectSummary {
-    /// Images to train with.
+    /// Number of images to train with.
     pub train: usize,
-    /// Images held out.
+    /// Number of images held out.
     pub test: usize,
-    /// Held-out images whose light is far from all lights of training.
+    /// Number of held-out images whose light is far from all lights of training.
     pub far: usize,
     /// Width and height of every image, pixels.
     pub size_px: usize,
-    /// Share of the pixels that show the object.
+    /// Share of the pixels that show the object, 0 to 1.
     pub coverage: f64,
-    /// Least PSNR of the held-out images against images without path-tracing noise, decibels. It is estimated from the
-    /// difference of two halves of the paths, which contains some effect of edges and patterns, so the noise is
-    /// somewhat smaller.
+    /// Lower bound of the PSNR of the held-out images against images without path-tracing noise, decibels, mean over
+    /// the images. It is computed from the difference of two halves of the paths. Edges and patterns add to this
+    /// difference, so that the noise is somewhat smaller.
     pub noise_floor_db: f64,
 }
 
@@ -70,7 +70,7 @@ impl LookAtCamera {
         }
     }
 
-    /// The ray through a place in the image, corners of pixels at integers.
+    /// Ray through a place in the image; corners of pixels are at integers.
     fn ray(&self, col: f64, row: f64) -> Ray {
         let half = 0.5 * self.size_px as f64;
         let aside = self.right * (col - half) - self.up * (row - half);
@@ -94,12 +94,12 @@ struct Pixel {
     normal: Vector3<f64>,
     /// Half of the difference between two halves of the paths: its square is the variance of the colour.
     doubt: Vector3<f64>,
-    /// Number of the part that most paths met first; none where most met nothing.
+    /// Number of the part that most paths met first; `None` where most paths met none.
     part: Option<usize>,
 }
 
 impl Pixel {
-    /// Variance of the value that is written, mean over the colours.
+    /// Variance of the written value, mean over the colours.
     fn variance(&self, linear: bool) -> f64 {
         let slope = |value: f64| match linear {
             true => 1.0,
@@ -176,8 +176,8 @@ pub fn write_object(
     })
 }
 
-/// 1 for the first half of a pixel's paths, -1 for the second: either half of an even sequence is one. The last of an
-/// odd number belongs to neither, unless there is no other.
+/// Sign of a path in the difference of two halves of the paths: 1 for the first half, -1 for the second. Either half is
+/// a sequence of its own. The last of an odd number of paths has 0; a single path has -1.
 fn half_of(path: u32, paths: u32) -> f64 {
     if path < paths / 2 {
         1.0
@@ -232,7 +232,7 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Look
         .collect()
 }
 
-/// The curve of sRGB (IEC 61966-2-1), 8 bits.
+/// Transfer curve of sRGB (IEC 61966-2-1) to 8 bits.
 fn display(linear: f64) -> u8 {
     let x = linear.clamp(0.0, 1.0);
     let encoded = if x <= 0.003_130_8 {
@@ -250,7 +250,7 @@ fn save(staging: &Staging, relative: &str, picture: DynamicImage) -> Result<(), 
         .map_err(|source| SynthError::unwritable(&path, source))
 }
 
-/// Captures under one light are linear, EXR; others are for a display, PNG.
+/// Writes captures under one light as linear EXR, and others as PNG for a display.
 fn write_image(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
     let size = request.size_px as u32;
     let at = |x: u32, y: u32| &pixels[(y * size + x) as usize];
@@ -290,7 +290,7 @@ fn write_normals(request: &ObjectRequest, staging: &Staging, name: &str, pixels:
     save(staging, &format!("truth/{name}_normal.png"), picture.into())
 }
 
-/// The number of each pixel's part, counted from 1; 0 where there is none.
+/// Writes the number of each pixel's part, counted from 1; 0 where there is none.
 fn write_parts(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
     let size = request.size_px as u32;
     let picture = GrayImage::from_fn(size, size, |x, y| {

@@ -13,7 +13,9 @@ const FRAME_M: f64 = 0.04;
 /// Period of the arrays along and up the roof, and the part of it that modules fill, metres: the rest is walkways.
 const ARRAY_M: [f64; 2] = [9.6, 6.0];
 const FILLED_M: [f64; 2] = [8.0, 4.95];
+/// Albedo of the cells in red, green, blue and near infrared.
 const CELLS: [f64; 4] = [0.030, 0.034, 0.055, 0.045];
+/// Albedo of the frames in all bands.
 const FRAME: f64 = 0.35;
 
 /// True if a roof of this material carries panels; `seed` is the roof's own random number.
@@ -31,7 +33,7 @@ pub(crate) fn on_module(at: Spot) -> bool {
     (0..2).all(|axis| place[axis] > 0.0 && place[axis].rem_euclid(ARRAY_M[axis]) < FILLED_M[axis])
 }
 
-/// Albedo of the module at a spot; `None` outside of them.
+/// Albedo of the module at a spot, 0 to 1 in each band; `None` between modules.
 pub(crate) fn albedo(at: Spot) -> Option<Spectrum> {
     if !on_module(at) {
         return None;

@@ -45,20 +45,26 @@ const FULL_SCENE_LEAST_PX: f64 = 2400.0;
 pub(crate) struct DatePlan {
     /// Time of the first image of the date.
     pub(crate) time: Timestamp,
+    /// Season of the date, for vegetation.
     pub(crate) season: Season,
+    /// Air, exposure and water of the date.
     pub(crate) weather: Weather,
-    /// Share of the bays that hold a car.
+    /// Share of the bays that hold a car, 0 to 1.
     pub(crate) car_occupancy: f64,
 }
 
 /// One image.
 #[derive(Debug, Clone)]
 pub(crate) struct ViewPlan {
+    /// File name without extension.
     pub(crate) name: String,
     /// Index into the dates.
     pub(crate) date: usize,
+    /// Acquisition time.
     pub(crate) time: Timestamp,
+    /// Position of the sun at that time.
     pub(crate) sun: SunPosition,
+    /// Viewing geometry; for the camera of a real image, an estimate from its RPC.
     pub(crate) geometry: ViewGeometry,
     /// Pixel (sample, line) of the full scene that sees the site's centre.
     pub(crate) aim_px: [f64; 2],
@@ -68,7 +74,7 @@ pub(crate) struct ViewPlan {
     pub(crate) held_out: bool,
     /// True if clouds are in view.
     pub(crate) cloudy: bool,
-    /// The camera, where it is that of a real image.
+    /// RPC of a real image, if the view has one.
     pub(crate) known: Option<Rpc>,
 }
 
@@ -77,16 +83,18 @@ pub(crate) struct ViewPlan {
 pub(crate) struct Collection {
     /// The site's centre, at about the altitude of its ground.
     pub(crate) origin: GeoPoint,
+    /// Acquisition dates in order of time.
     pub(crate) dates: Vec<DatePlan>,
-    /// In order of time.
+    /// Images in order of time.
     pub(crate) views: Vec<ViewPlan>,
 }
 
 impl Collection {
-    /// Plans everything about a request but the site's content.
+    /// Plans place, dates, views and weather of a request.
     ///
     /// # Errors
-    /// When the request names cameras that cannot be used, or clouds in more images than there are.
+    /// When the cameras of the request cannot be used, or are fewer than its views, or when it has clouds in more
+    /// images than there are training images.
     pub(crate) fn new(request: &SatelliteRequest) -> Result<Self, SynthError> {
         let mut collection = match &request.cameras {
             None => Self::made_up(request),
@@ -118,7 +126,7 @@ impl Collection {
         Ok(on)
     }
 
-    /// Through the cameras of real images.
+    /// Plans views through the cameras of real images.
     fn through(request: &SatelliteRequest, cameras: Vec<KnownCamera>) -> Result<Self, SynthError> {
         let (all, wanted) = (cameras.len(), request.views.unwrap_or(cameras.len()));
         if wanted > all {
@@ -179,13 +187,13 @@ fn place(random: &mut Pcg64Mcg) -> GeoPoint {
     }
 }
 
-/// A day in its share of two years, at 9:30 to 11:30 mean solar time, with the sun high enough.
+/// Date in its share of two years, at 9:30 to 11:30 mean solar time, with the sun high enough.
 fn date_plan(random: &mut Pcg64Mcg, origin: GeoPoint, index: usize, count: usize) -> DatePlan {
     const DAYS: f64 = 730.0;
     const FIRST_JANUARY_2016: i64 = 1_451_606_400;
     let mut best: Option<(f64, f64, Timestamp)> = None;
     for attempt in 0..60 {
-        // The share of the two years opens up if its season has no high sun.
+        // The search widens beyond the share of the two years if its season has no high sun.
         let spread = (1.0 + 0.1 * f64::from(attempt)).min(count as f64);
         let share = (index as f64 + 0.5 + spread * random.random_range(-0.5..0.5)) / count as f64;
         let day = (share * DAYS).rem_euclid(DAYS).floor();
@@ -253,7 +261,7 @@ fn view_plans(
             // Later images of a date are taken from the same pass, about a minute on.
             let delay_s = (index / dates.len()) as i64 * random.random_range(45..100);
             let time = dates[date].time + SignedDuration::from_secs(delay_s);
-            // Golden angle: azimuths spread evenly however many there are.
+            // Golden angle: azimuths spread evenly for any number of views.
             let azimuth_deg = first_azimuth_deg + 137.508 * index as f64 + random.random_range(-15.0..15.0);
             let share = (order[index] as f64 + random.random_range(0.0..1.0)) / count as f64;
             let off_nadir_deg = OFF_NADIR_DEG[0] + share * (OFF_NADIR_DEG[1] - OFF_NADIR_DEG[0]);
@@ -325,7 +333,7 @@ fn geometry_of(rpc: &Rpc, frame: &LocalFrame) -> Result<ViewGeometry, heliosplat
 fn weather_of(random: &mut Pcg64Mcg, time: Timestamp, lat_deg: f64) -> DatePlan {
     const DAY_S: f64 = 86_400.0;
     const YEAR_DAYS: f64 = 365.25;
-    // 1970 began with a first of January; the season depends only on the day of the year.
+    // Days are counted from 1 January 1970; the season depends only on the day of the year.
     let day = (time.as_second() as f64 / DAY_S).rem_euclid(YEAR_DAYS);
     date_of(random, time, day, lat_deg)
 }
@@ -338,7 +346,8 @@ fn image_width_px(request: &SatelliteRequest) -> f64 {
     }
 }
 
-/// Holds out images of dates with training images, at moderate angles, so that their weather is known from training.
+/// Holds out images at moderate angles on dates that also have training images, so that training images show their
+/// weather.
 fn hold_out(views: &mut [ViewPlan], count: usize) {
     let images_of_date = |date: usize| views.iter().filter(|view| view.date == date).count();
     let mut candidates: Vec<(bool, f64, usize)> = (views.iter().enumerate())
@@ -378,7 +387,7 @@ fn cloud_over(views: &mut [ViewPlan], request: &SatelliteRequest) -> Result<(), 
     Ok(())
 }
 
-/// Shifts in random directions, with random lengths of the requested root mean square.
+/// Sets the RPC biases: shifts in random directions, with random lengths of the requested root mean square.
 fn bias(views: &mut [ViewPlan], request: &SatelliteRequest) {
     let mut random = stream(request.seed, 0xB1A5);
     let shifts: Vec<[f64; 2]> = (0..views.len())

@@ -36,8 +36,7 @@ const AEROSOL: [f64; 4] = [1.0, 1.15, 1.35, 0.75];
 const SKY_SHARE: f64 = 0.4;
 /// Path radiance per optical depth, relative to the sun above the air.
 const HAZE_PER_DEPTH: f64 = 0.042;
-/// Share of the light that a layer of haze takes from the sun's beam and that reaches the ground: droplets scatter
-/// forwards.
+/// Share of the light scattered out of the sun's beam by haze that reaches the ground: droplets scatter forwards.
 const HAZE_FORWARDS: f64 = 0.65;
 /// Directions sampled for interreflection, along each of the two axes of the hemisphere.
 const BOUNCE_STRATA: u64 = 2;
@@ -49,22 +48,24 @@ const AROUND: [f64; 4] = [0.15, 0.14, 0.12, 0.24];
 pub(crate) struct Weather {
     /// Aerosol optical depth in red.
     pub(crate) aerosol: f64,
-    /// The vendor's gain relative to the mean of the collection.
+    /// Gain of the date relative to the mean of the collection.
     pub(crate) exposure: f64,
-    /// Mean square slope of ripples.
+    /// Mean square slope of ripples on water.
     pub(crate) water_slope_variance: f64,
     /// Brightness of particles in the water, relative to the mean.
     pub(crate) water_turbidity: f64,
+    /// Seed of the ripples.
     pub(crate) seed: u64,
 }
 
 /// Light of one image.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Illumination {
+    /// Unit vector to the sun (east, north, up).
     pub(crate) to_sun: Vector3<f64>,
-    /// Irradiance of the sun on a surface that faces it.
+    /// Irradiance of the sun on a surface that faces it, relative to that above the air.
     pub(crate) sun: Spectrum,
-    /// Irradiance of an open sky on level ground.
+    /// Irradiance of an open sky on level ground, relative to that of the sun above the air.
     pub(crate) sky: Spectrum,
     around: Spectrum,
     /// Share of the light that reaches the satellite.
@@ -82,14 +83,18 @@ pub(crate) struct Illumination {
     waves: Option<Waves>,
 }
 
-/// The scene of a ray: solids, ground and light.
+/// Scene that rays meet: solids, their surfaces, and ground cover.
 pub(crate) struct LitScene<'a> {
+    /// Geometry of terrain and solids.
     pub(crate) tracer: &'a Tracer<'a>,
+    /// Surfaces of the solids, indexed by the surface of a hit.
     pub(crate) surfaces: &'a [Face],
+    /// Cover of the terrain.
     pub(crate) ground: &'a crate::city::GroundCover,
 }
 
 impl<'a> LitScene<'a> {
+    /// Scene of a tracer, its surfaces and its ground cover.
     pub(crate) fn of(tracer: &'a Tracer<'a>, surfaces: &'a [Face], ground: &'a crate::city::GroundCover) -> Self {
         Self {
             tracer,
@@ -102,18 +107,19 @@ impl<'a> LitScene<'a> {
 /// Result of one ray of the sensor.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SensorSample {
-    /// Radiance at the satellite.
+    /// Radiance at the satellite, relative to the irradiance of the sun above the air.
     pub(crate) radiance: Spectrum,
-    /// True if more than half of the sun's beam reaches the visible surface, or would without the cloud before it.
+    /// True if more than half of the sun's beam reaches the visible surface. For a ray that meets a cloud, this is the
+    /// surface behind the cloud.
     pub(crate) lit: bool,
-    /// Share of the surface's light that a cloud takes on the way to the satellite.
+    /// Share of the surface's light that a cloud takes on the way to the satellite, 0 to 1, without the veil.
     pub(crate) clouded: f64,
     /// True if the ray ends on the sea.
     pub(crate) sea: bool,
 }
 
 impl Illumination {
-    /// The light of a date under a sun, seen at an angle from the zenith.
+    /// Light of a date under a sun, for a view at an angle from the zenith, radians.
     pub(crate) fn new(sun: &SunPosition, weather: Weather, season: Season, view_zenith_rad: f64) -> Self {
         let height = sun.elevation_rad.sin();
         let depth = Spectrum::from_fn(|band, _| CLEAR_AIR[band] + weather.aerosol * AEROSOL[band]);
@@ -137,7 +143,7 @@ impl Illumination {
         }
     }
 
-    /// The same light with the interreflection and gloss of the faults.
+    /// Adds interreflection and gloss if they are among the faults.
     pub(crate) fn among(self, faults: &Faults) -> Self {
         Self {
             bounce: faults.contains(&Fault::Interreflection),
@@ -146,12 +152,12 @@ impl Illumination {
         }
     }
 
-    /// The same light on a sea with these waves.
+    /// Adds the waves of a sea.
     pub(crate) fn on_sea(self, waves: Option<Waves>) -> Self {
         Self { waves, ..self }
     }
 
-    /// The same light under a layer of haze, seen at an angle from the zenith.
+    /// Adds a layer of haze, for a view at an angle from the zenith, radians; formulas are those of `Haze`.
     pub(crate) fn under_haze(self, haze: Option<&Haze>, view_zenith_rad: f64) -> Self {
         let Some(layer) = haze else { return self };
         let (depth, height) = (layer.depths(), self.to_sun.z);
@@ -161,7 +167,7 @@ impl Illumination {
             self.sky.component_mul(&depth.map(|d| (-0.5 * d).exp())) + (self.sun - sun) * (height * HAZE_FORWARDS);
         let level = sun * (0.5 * height) + sky;
         let transmittance = depth.map(|d| (-0.5 * d / view_zenith_rad.cos()).exp());
-        // The sun above the air is 1 in each band: a layer without end sends this share of it back.
+        // Radiance of an infinite layer. The irradiance of the sun above the air is 1 in each band.
         let airlight = height * layer.airlight / PI;
         Self {
             sun,
@@ -173,12 +179,12 @@ impl Illumination {
         }
     }
 
-    /// The same light with clouds in its way.
+    /// Adds clouds.
     pub(crate) fn through(self, clouds: Option<CloudField>) -> Self {
         Self { clouds, ..self }
     }
 
-    /// Radiance and labels of a ray of the sensor. `draw` is a random word of its own for each ray.
+    /// Radiance and labels of a ray of the sensor. `draw` is a random word, different for each ray.
     pub(crate) fn sample(&self, scene: &LitScene, ray: &Ray, draw: u64) -> SensorSample {
         let below = self.sample_below(scene, ray, draw);
         let Some(clouds) = &self.clouds else {
@@ -198,7 +204,7 @@ impl Illumination {
         ((self.sun + self.sky) * (albedo / PI)).component_mul(&self.transmittance) + self.haze
     }
 
-    /// Sample of a ray below the clouds. `draw` is a random word of its own for each ray.
+    /// Sample of a ray below the clouds. `draw` is a random word, different for each ray.
     fn sample_below(&self, scene: &LitScene, ray: &Ray, draw: u64) -> SensorSample {
         let Some(hit) = scene.tracer.trace(ray) else {
             return SensorSample {
@@ -284,8 +290,7 @@ impl Illumination {
         sum / (BOUNCE_STRATA * BOUNCE_STRATA) as f64
     }
 
-    /// The sky if a direction is open, else the average neighbourhood: irradiance if the whole hemisphere looked like
-    /// this direction.
+    /// Irradiance of an open sky if a direction is open, else of the average neighbourhood.
     fn sky_or_around(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>) -> Spectrum {
         let ray = Ray {
             origin: start,
@@ -295,8 +300,8 @@ impl Illumination {
         if open { self.sky } else { self.around }
     }
 
-    /// Light from a direction, as [`Illumination::sky_or_around`], with the actual light of the surface there where
-    /// interreflection is on.
+    /// Irradiance if the whole hemisphere looked like one direction: [`Illumination::sky_or_around`], or with
+    /// interreflection the light of the surface in that direction.
     fn arriving(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>, draw: u64) -> Spectrum {
         if !self.bounce {
             return self.sky_or_around(scene, start, direction);
@@ -378,7 +383,7 @@ fn cosine_weighted(normal: &Vector3<f64>, u: f64, turn: f64) -> Option<Vector3<f
 }
 
 impl LitScene<'_> {
-    /// Class and albedo of the hit surface; the class is that of the surface under snow.
+    /// Class and albedo of the hit surface; under snow, the class is that of the surface below it.
     pub(crate) fn albedo(&self, hit: &Hit, season: &Season) -> (Class, Spectrum) {
         let (class, albedo) = if hit.surface == GROUND {
             self.ground.albedo(hit.point.x, hit.point.y, season)

@@ -3,7 +3,7 @@
 //! The scene is 2.5-D (a city seen from above), so one grid cell is a column with a list of primitives and the altitude
 //! of its highest point; a ray walks the columns it crosses (Amanatides and Woo, "A fast voxel traversal algorithm for
 //! ray tracing", Eurographics 1987) and looks into a column only when it dips below that altitude. It shares no code
-//! with the engine and approximates nothing: the truth rasters are made by the same rays.
+//! with the engine and approximates nothing; it also makes the truth rasters.
 
 use crate::ray::Ray;
 use crate::terrain::HeightField;
@@ -21,8 +21,11 @@ const SELF_HIT_M: f64 = 1e-6;
 /// End of a ray. The normal is a unit vector on the side the ray came from.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Hit {
+    /// Place of the hit, metres of the scene's frame.
     pub(crate) point: Vector3<f64>,
+    /// Unit normal.
     pub(crate) normal: Vector3<f64>,
+    /// Surface of the hit.
     pub(crate) surface: SurfaceId,
 }
 
@@ -38,12 +41,16 @@ pub(crate) struct Triangle {
 /// An ellipsoid with its axes along east, north and up.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ellipsoid {
+    /// Centre, metres of the scene's frame.
     pub(crate) centre: Vector3<f64>,
+    /// Half axes along east, north and up, metres.
     pub(crate) radii: Vector3<f64>,
+    /// Surface of the ellipsoid.
     pub(crate) surface: SurfaceId,
 }
 
 impl Triangle {
+    /// Triangle of three corners, metres of the scene's frame.
     pub(crate) fn new(corners: [Vector3<f64>; 3], surface: SurfaceId) -> Self {
         Self {
             corner: corners[0],
@@ -113,11 +120,13 @@ impl Ellipsoid {
 /// Primitives of the scene before they are sorted into columns.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Primitives {
+    /// Flat triangles.
     pub(crate) triangles: Vec<Triangle>,
+    /// Ellipsoids.
     pub(crate) ellipsoids: Vec<Ellipsoid>,
 }
 
-/// A scene that rays can be sent into.
+/// Ray tracer of a scene.
 pub(crate) struct Tracer<'a> {
     terrain: &'a HeightField,
     primitives: Primitives,
@@ -131,7 +140,7 @@ pub(crate) struct Tracer<'a> {
     top_m: f64,
 }
 
-/// The nearest thing found so far.
+/// Nearest primitive so far.
 #[derive(Clone, Copy)]
 enum Found {
     Terrain,
@@ -187,7 +196,7 @@ impl<'a> Tracer<'a> {
         self.bottom_m
     }
 
-    /// The first surface a ray meets.
+    /// Nearest hit along a ray; `None` if the ray leaves the scene.
     pub(crate) fn trace(&self, ray: &Ray) -> Option<Hit> {
         let mut best: Option<(f64, Found)> = None;
         self.walk(ray, f64::INFINITY, |cell, t_in, t_out| {
@@ -210,7 +219,7 @@ impl<'a> Tracer<'a> {
         best.map(|(t, found)| self.hit(ray, t, found))
     }
 
-    /// True if anything lies on the ray within `reach_m`.
+    /// True if a surface lies on the ray within `reach_m`, metres.
     pub(crate) fn occluded(&self, ray: &Ray, reach_m: f64) -> bool {
         let mut blocked = false;
         self.walk(ray, reach_m, |cell, t_in, t_out| {

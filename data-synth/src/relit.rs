@@ -27,13 +27,13 @@ use rayon::prelude::*;
 
 /// Lowest and highest sun, degrees.
 const ELEVATIONS_DEG: [f64; 2] = [10.0, 70.0];
-/// Largest azimuth of suns on both sides of the meridian, degrees.
+/// Largest azimuth of a sun from the meridian, on either side, degrees.
 const ASIDE_DEG: f64 = 90.0;
 /// A sun nearer than this to that of an image is drawn again, degrees.
 const APART_DEG: f64 = 8.0;
-/// Most draws of a sun; the last one is taken.
+/// Most draws for one sun; after these the last one is used.
 const DRAWS: usize = 40;
-/// The day whose hours of sun are truth: an equinox.
+/// Day of the hours of sun: an equinox.
 pub(crate) const DAY: &str = "2016-03-20";
 /// Time between two suns of that day, seconds.
 const STEP_S: i64 = 360;
@@ -42,17 +42,20 @@ const SURFACE_BIAS_M: f64 = 1e-4;
 
 /// Common data of all relit images of a scene.
 pub(crate) struct Studio {
+    /// Weather of the image with the highest sun.
     pub(crate) weather: Weather,
+    /// Season of the image with the highest sun.
     pub(crate) season: Season,
+    /// Layer of haze of the image with the highest sun, if haze is requested.
     pub(crate) haze: Option<Haze>,
     /// Counts per unit of radiance.
     pub(crate) gain: f64,
-    /// Gain of each of the renderer's bands relative to that.
+    /// Gain of each of the renderer's bands relative to `gain`.
     pub(crate) band_gains: [f64; 4],
 }
 
-/// Azimuth and elevation of the suns, degrees: elevations evenly from lowest to highest, azimuths from all of the sky's
-/// sunny half, in random order, away from the suns of the images.
+/// Azimuth and elevation of the `request.relight` suns, degrees: elevations evenly from lowest to highest, azimuths
+/// over the sunny half of the sky, in random order, away from the suns of the images.
 pub(crate) fn suns_deg(request: &SatelliteRequest, collection: &Collection) -> Vec<[f64; 2]> {
     let count = request.relight;
     let mut random = stream(request.seed, 0x5E11);
@@ -94,7 +97,8 @@ fn elevation_deg(index: usize, count: usize) -> f64 {
     low_deg + share * (high_deg - low_deg)
 }
 
-/// The site from straight above under one sun (azimuth and elevation, degrees).
+/// Image and shadow mask of the site from straight above under one sun (azimuth and elevation, degrees). `rows_done`
+/// receives the number of rows of each finished batch.
 pub(crate) fn relit(
     request: &SatelliteRequest,
     scene: &LitScene,
@@ -130,7 +134,7 @@ pub(crate) fn relit(
 }
 
 /// Hours of direct sun on the highest surface at each cell's centre on [`DAY`], from one midnight of mean solar time to
-/// the next.
+/// the next; NaN where there is no surface.
 pub(crate) fn sun_hours(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f32> {
     let suns = suns_of_day(frame.origin);
     let step_hours = STEP_S as f64 / 3600.0;
@@ -153,7 +157,7 @@ pub(crate) fn sun_hours(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) 
 /// Directions to the sun in the middle of each step of [`DAY`] in which it is up.
 fn suns_of_day(place: GeoPoint) -> Vec<Vector3<f64>> {
     const DAY_S: i64 = 86_400;
-    // Of the constant above: always a day.
+    // `DAY` is a constant that parses: the other value is never used.
     let midnight: Timestamp = format!("{DAY}T00:00:00Z").parse().unwrap_or(Timestamp::UNIX_EPOCH);
     let first_s = midnight.as_second() - (place.lon_deg / 360.0 * DAY_S as f64).round() as i64;
     (0..DAY_S / STEP_S)

@@ -1,4 +1,4 @@
-//! Images: the sensor's rays, a point spread wider than a pixel, noise, and numbers of 8 or 16 bits.
+//! Images: the sensor's rays, a point spread wider than a pixel, noise, and counts of 8 or 16 bits.
 
 use crate::clouds;
 use crate::crop::Crop;
@@ -20,25 +20,33 @@ const REACH: usize = 5;
 /// Rows rendered at a time.
 const ROWS_AT_ONCE: usize = 48;
 
-/// Settings that turn light into an image.
+/// Settings of an image: camera, light and encoding.
 pub(crate) struct Exposure<'a> {
+    /// Camera of the image.
     pub(crate) sensor: &'a Sensor,
+    /// Window of the image in the sensor's full scene.
     pub(crate) crop: Crop,
+    /// Light of the scene and of the air.
     pub(crate) light: &'a Illumination,
+    /// Bands of the image.
     pub(crate) bands: BandSet,
+    /// Conversion of radiance to counts.
     pub(crate) encoding: Encoding,
-    /// Gain of each of the renderer's bands relative to the encoding's.
+    /// Gain of each of the renderer's bands relative to that of `encoding`.
     pub(crate) band_gains: [f64; 4],
-    /// True if pixels that see the sea are missing.
+    /// True if pixels that see the sea are missing (count 0).
     pub(crate) sea_is_missing: bool,
+    /// Seed of noise and of random directions.
     pub(crate) seed: u64,
 }
 
 /// An image and its masks.
 pub(crate) struct Image {
+    /// Columns.
     pub(crate) width: usize,
+    /// Rows.
     pub(crate) height: usize,
-    /// Bands interleaved by pixel.
+    /// Counts, row by row, bands interleaved by pixel.
     pub(crate) counts: Vec<u16>,
     /// 1 where the sun reaches less than half of the pixel.
     pub(crate) shadow: Vec<u8>,
@@ -57,7 +65,7 @@ struct FineRow {
     sea: Vec<bool>,
 }
 
-/// Renders an image; `rows_done` receives the size of each finished batch of rows.
+/// Renders an image; `rows_done` receives the number of rows of each finished batch.
 pub(crate) fn render(scene: &LitScene, exposure: &Exposure, rows_done: &mut dyn FnMut(usize)) -> Image {
     let Crop { width, height, .. } = exposure.crop;
     let mut image = Image {
@@ -150,7 +158,7 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
     }
 }
 
-/// The ray, started just above the scene: starting 600 km away would cost digits in every intersection.
+/// The ray with its start just above the scene: a start 600 km away would cost digits in every intersection.
 pub(crate) fn lowered(ray: &Ray, tracer: &Tracer) -> Ray {
     let t = (tracer.top_m() - ray.origin.z) / ray.direction.z;
     Ray {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-/// Most suns of no image that truth is rendered under.
+/// Most additional suns under which truth is rendered.
 const MOST_SUNS: usize = 100;
 
 /// Packing of images.
@@ -21,11 +21,12 @@ pub enum Delivery {
 }
 
 impl Delivery {
+    /// True if each image is one file.
     pub(crate) fn is_whole(&self) -> bool {
         *self == Self::Whole
     }
 
-    /// Bands of the file that bears the image's name.
+    /// Bands of the file that bears the image's name, or of the panchromatic file of a bundle.
     pub(crate) fn main_bands(self, bands: BandSet) -> BandSet {
         match self {
             Self::Whole => bands,
@@ -109,7 +110,7 @@ impl BandSet {
     }
 }
 
-/// A fault of real images that a satellite scene can be given.
+/// A fault of real images that a satellite scene can have.
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -129,7 +130,7 @@ pub enum Fault {
     Stretch,
 }
 
-/// The faults of a scene.
+/// Faults of a scene.
 pub type Faults = BTreeSet<Fault>;
 
 /// The cover of one half of a site.
@@ -153,25 +154,29 @@ pub struct SatelliteRequest {
     pub site: Site,
     /// Seed of all random numbers: place, city, dates, sensors, noise.
     pub seed: u64,
-    /// Cameras, dates and suns of real images, a JSON file as VisSat writes it; the site's own sensors if absent.
+    /// JSON file, as VisSat writes it, of the cameras, dates and suns of real images; if absent, sensors are simulated.
     pub cameras: Option<PathBuf>,
-    /// Images; if absent the site's own number, or all of `cameras`.
+    /// Number of images, 1 to 500; if absent, the site's own number, or all of `cameras`.
     pub views: Option<usize>,
-    /// Acquisition dates, at most one per view; the site's own number if absent.
+    /// Number of acquisition dates, at least 1, at most one per view; if absent, the site's own number. With `cameras`
+    /// it must be absent.
     pub dates: Option<usize>,
-    /// Ground sampling distance, metres; 0.5 if absent. Also the resolution of the truth rasters.
+    /// Ground sampling distance, 0.1 to 4 m; 0.5 if absent. It is also the resolution of the truth rasters.
     pub gsd_m: Option<f64>,
-    /// Width and height of every image, pixels; if absent, the size that covers the site at all its altitudes.
+    /// Width and height of every image, 16 to 8192 pixels and at most 2 km; if absent, the size that covers the site at
+    /// all its altitudes.
     pub size_px: Option<usize>,
     /// Bands of the images.
     pub bands: BandSet,
-    /// 16: linear counts of 11 bits, as vendors deliver them. 8: display images, sRGB transfer curve.
+    /// Bits per sample: 16 for linear counts of 11 bits, as vendors deliver them; 8 for display images with the
+    /// transfer curve of sRGB.
     pub bits: u8,
-    /// RPC bias: root mean square length of the constant (column, row) error put into the RPC of each image, pixels.
+    /// RPC bias: root mean square length of the constant (column, row) error put into the RPC of each image, 0 to 100
+    /// pixels.
     pub pointing_bias_px: f64,
-    /// Sensor noise relative to a good sensor's (1 = signal-to-noise about 100 at middle grey, 0 = none).
+    /// Sensor noise relative to a good sensor's, 0 to 100 (1 = signal-to-noise about 100 at middle grey, 0 = none).
     pub noise: f64,
-    /// Training images that have clouds in view. Absent from the manifest if none, as it was before there were any.
+    /// Number of training images that have clouds in view. Absent from the manifest if 0.
     #[serde(skip_serializing_if = "is_zero")]
     pub clouds: usize,
     /// Faults of real images. Absent from the manifest if none.
@@ -183,8 +188,8 @@ pub struct SatelliteRequest {
     /// Packing of images. Absent from the manifest if each is one file.
     #[serde(skip_serializing_if = "Delivery::is_whole")]
     pub delivery: Delivery,
-    /// Suns of no image under which the site is rendered from straight above as truth. Absent from the manifest if
-    /// none.
+    /// Number of additional suns, 0 to 100, under which the site is rendered from straight above as truth. Absent from
+    /// the manifest if 0.
     #[serde(skip_serializing_if = "is_zero")]
     pub relight: usize,
     /// Share of the buildings that are built or torn down between two dates, 0 to 1. Absent from the manifest if none.
@@ -230,7 +235,8 @@ impl SatelliteRequest {
         self.gsd_m.unwrap_or(0.5)
     }
 
-    /// Number of images, unless cameras were given without one.
+    /// Number of images: `views`, or the site's own number. It does not hold for `cameras` without `views`, where every
+    /// camera gives an image.
     pub fn view_count(&self) -> usize {
         self.views.unwrap_or(self.site.default_views())
     }
@@ -240,7 +246,7 @@ impl SatelliteRequest {
         self.dates.unwrap_or(self.site.default_dates()).min(self.view_count())
     }
 
-    /// True if the scene has a fault.
+    /// True if `fault` is requested.
     pub fn has(&self, fault: Fault) -> bool {
         self.faults.contains(&fault)
     }
@@ -250,13 +256,13 @@ impl SatelliteRequest {
         matches!(self.cover, Some(Cover::Sea | Cover::Nodata))
     }
 
-    /// Bits per sample of the files: stretched images have 8 whatever the value of `bits`.
+    /// Bits per sample of the files: 8 for stretched images, else `bits`.
     pub fn file_bits(&self) -> u8 {
         if self.has(Fault::Stretch) { 8 } else { self.bits }
     }
 
-    /// Number of training images with clouds, of `training`: `clouds`, and with [`Fault::LargeClouds`] a quarter by
-    /// default.
+    /// Number of images with clouds among `training` training images: `clouds`, or, if that is 0, a quarter with
+    /// [`Fault::LargeClouds`].
     pub fn cloudy_images(&self, training: usize) -> usize {
         if self.clouds == 0 && self.has(Fault::LargeClouds) {
             training.div_ceil(4)

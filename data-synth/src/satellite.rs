@@ -38,7 +38,7 @@ const MARGIN_PX: f64 = 12.0;
 const SURROUNDINGS_M: f64 = 50.0;
 /// Altitudes above and below the site's centre that images are made to cover, metres.
 const COVERED_ALTITUDES_M: [f64; 2] = [-10.0, 44.0];
-/// Exposure of scenes with snow relative to that for a sun in the zenith, apart from the sun's height.
+/// Gain of scenes with snow relative to other scenes, times the sine of the sun's elevation.
 const SNOWY_EXPOSURE: f64 = 1.25;
 
 /// One image's camera: the sensor, the window of the image, and the delivered RPC.
@@ -163,7 +163,7 @@ pub fn write_satellite(
     Ok(summary)
 }
 
-/// The solids of the scene, with coatings on glossy roofs.
+/// Solids of the scene, with solar panels on some roofs if glossy surfaces are requested.
 fn fitted(request: &SatelliteRequest, mut solids: Solids) -> Solids {
     if request.has(Fault::Glossy) {
         solids.lay_panels();
@@ -289,7 +289,7 @@ fn crop_of(
     }
 }
 
-/// A city that fills every image and stands around it.
+/// Plan of a city that extends beyond every image.
 fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
     let mut reach_m = 0.5 * request.site.extent_m();
     for ImageCamera { sensor, crop, .. } in cameras {
@@ -306,7 +306,7 @@ fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
     }
 }
 
-/// Truth at a date.
+/// Truth rasters of the city on a date.
 fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid: &TruthGrid, date: usize) -> Truth {
     let solids = fitted(request, city.solids(date));
     let tracer = Tracer::new(&city.terrain, solids.primitives);
@@ -339,7 +339,7 @@ fn changed_at(city: &City, collection: &Collection, frame: &LocalFrame, grid: &T
     (0..grid.size * grid.size).map(of_cell).collect()
 }
 
-/// Setting of the truth under other suns: the light of the image with the highest sun.
+/// Setting of the truth under additional suns: that of the image with the highest sun.
 fn studio_of(request: &SatelliteRequest, collection: &Collection) -> Option<Studio> {
     let height = |view: &ViewPlan| view.sun.elevation_rad;
     let views = collection.views.iter().enumerate();
@@ -355,7 +355,7 @@ fn studio_of(request: &SatelliteRequest, collection: &Collection) -> Option<Stud
     })
 }
 
-/// The site under suns that no image has, without cars and clouds.
+/// Writes the site under suns that no image has, without cars and clouds.
 fn relight(
     staging: &Staging,
     request: &SatelliteRequest,

@@ -3,7 +3,8 @@
 //! The satellite moves on a circle around the Earth's centre while the Earth turns under it; its attitude swings so
 //! that the line of sight runs along the ground at the wanted rate, with small smooth errors in roll, pitch and yaw, a
 //! trace of vibration, and a detector that is not perfectly straight. The rational camera that a vendor would deliver
-//! is fitted to this model over a scene several times larger than the image, so it is imperfect in the real way.
+//! is fitted to this model over a scene several times larger than the image, so it has residuals like those of a real
+//! RPC.
 
 use crate::nadir::NadirSensor;
 use crate::noise::stream;
@@ -36,6 +37,7 @@ pub(crate) struct ViewGeometry {
     pub(crate) gsd_m: f64,
     /// Side of the vendor's full scene, pixels.
     pub(crate) full_px: f64,
+    /// Seed of errors of the sensor.
     pub(crate) seed: u64,
 }
 
@@ -79,21 +81,24 @@ struct Attitude {
     vibration_phase: f64,
 }
 
-/// A camera of either kind.
+/// A camera of any kind.
 #[derive(Debug, Clone)]
 pub(crate) enum Sensor {
-    /// A made-up satellite.
+    /// Simulated push-broom satellite.
     PushBroom(Box<PushBroom>),
-    /// The camera of a real image.
+    /// Camera of a real image, given as an RPC.
     Rational(RationalSensor),
-    /// No satellite: straight down on every cell of a map grid.
+    /// Straight down on every cell of a map grid.
     Nadir(NadirSensor),
 }
 
-/// A line of a sensor.
+/// One line of a sensor.
 pub(crate) enum SensorLine<'a> {
+    /// Push-broom satellite at the moment of the line.
     PushBroom(&'a PushBroom, LineState),
+    /// RPC and the number of the line.
     Rational(&'a RationalSensor, f64),
+    /// Nadir camera and the number of the line.
     Nadir(&'a NadirSensor, f64),
 }
 
@@ -109,7 +114,7 @@ impl Sensor {
 }
 
 impl SensorLine<'_> {
-    /// The direction seen by a (fractional) sample.
+    /// Ray of a (fractional) sample.
     pub(crate) fn ray(&self, sample: f64) -> Ray {
         match self {
             Self::PushBroom(sensor, state) => sensor.ray(state, sample),
@@ -202,7 +207,7 @@ impl PushBroom {
         }
     }
 
-    /// (sample, line) at which a point of the scene is seen, by Newton's method on the line's moment.
+    /// (sample, line), pixels, at which a point of the scene is seen, by Newton's method on the moment of the line.
     pub(crate) fn project(&self, point: Vector3<f64>) -> [f64; 2] {
         let offset = |line: f64| {
             let state = self.at_line(line);
@@ -227,7 +232,10 @@ impl PushBroom {
         [from_centre + self.centre_px, line]
     }
 
-    /// The rational camera a vendor would deliver with the full scene, fitted on a grid of rays and heights.
+    /// RPC that a vendor would deliver with the full scene, fitted on a grid of rays and heights.
+    ///
+    /// # Errors
+    /// When no RPC fits the rays.
     pub(crate) fn fit_rational_camera(&self, frame: &LocalFrame) -> Result<RpcFit, RpcError> {
         const STEPS: usize = 15;
         const HEIGHTS: usize = 7;
@@ -277,7 +285,7 @@ impl Attitude {
     }
 }
 
-/// Distance along a downward ray to an ellipsoidal height.
+/// Distance along a downward ray to an ellipsoidal height, metres.
 pub(crate) fn distance_to_height(frame: &LocalFrame, ray: &Ray, height_m: f64) -> f64 {
     let mut t = (height_m - frame.origin.height_m - ray.origin.z) / ray.direction.z;
     // The vertical leans by less than a thousandth over a scene: each step gains three digits.

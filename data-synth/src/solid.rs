@@ -1,4 +1,4 @@
-//! Puts surfaces and primitives together: the vocabulary in which buildings, trees and cars are described.
+//! Surfaces and primitives put together: the parts of buildings, trees and cars.
 
 use crate::materials::{Class, Material, Season, Spectrum, Spot};
 use crate::panels;
@@ -8,25 +8,31 @@ use nalgebra::Vector3;
 /// A surface: its class, its material, and the coordinates of its texture.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Face {
+    /// Class of the surface.
     pub(crate) class: Class,
+    /// Material of the surface.
     pub(crate) material: Material,
+    /// Random number of the surface.
     pub(crate) seed: u32,
+    /// Origin of the texture, metres.
     pub(crate) origin: Vector3<f64>,
+    /// Texture axis u, unit length on flat surfaces.
     pub(crate) along_u: Vector3<f64>,
+    /// Texture axis v, unit length on flat surfaces.
     pub(crate) along_v: Vector3<f64>,
     /// True if solar panels lie on the surface.
     pub(crate) panels: bool,
 }
 
 impl Face {
-    /// Albedo at a point of the surface.
+    /// Albedo at a point of the surface in a season.
     pub(crate) fn albedo(&self, point: Vector3<f64>, season: &Season) -> Spectrum {
         let at = self.spot(point);
         let module = if self.panels { panels::albedo(at) } else { None };
         module.unwrap_or_else(|| self.material.albedo(at, season))
     }
 
-    /// Texture coordinates of a point of the surface.
+    /// Texture coordinates of a point of the surface, metres.
     pub(crate) fn spot(&self, point: Vector3<f64>) -> Spot {
         let offset = point - self.origin;
         Spot {
@@ -37,20 +43,27 @@ impl Face {
     }
 }
 
-/// Class, material and random number of a part; its texture frame is found from its shape.
+/// Class, material and random number of a part. Its texture axes follow from its shape.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Finish {
+    /// Class of the part.
     pub(crate) class: Class,
+    /// Material of the part.
     pub(crate) material: Material,
+    /// Random number of the part.
     pub(crate) seed: u32,
 }
 
-/// A horizontal rectangle: centre, direction of its length in radians from east, half length and half width.
+/// A horizontal rectangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Footprint {
+    /// Distance of the centre east of the site's centre, metres.
     pub(crate) x: f64,
+    /// Distance of the centre north of the site's centre, metres.
     pub(crate) y: f64,
+    /// Direction of the length, radians from east, counter-clockwise.
     pub(crate) angle_rad: f64,
+    /// Half length and half width, metres.
     pub(crate) half: [f64; 2],
 }
 
@@ -75,13 +88,13 @@ impl Footprint {
         da.max(0.0).hypot(db.max(0.0)) + da.max(db).min(0.0)
     }
 
-    /// A rectangle of other size around a point given in this one's coordinates.
+    /// Rectangle of half size `half`, turned as this one, around the point (`a`, `b`) on the axes of this one, metres.
     pub(crate) fn part(&self, a: f64, b: f64, half: [f64; 2]) -> Self {
         let [x, y] = self.at(a, b);
         Self { x, y, half, ..*self }
     }
 
-    /// The four corners at an altitude, counter-clockwise from (-, -).
+    /// The four corners at altitude `z`, counter-clockwise from (-, -).
     pub(crate) fn corners(&self, z: f64) -> [Vector3<f64>; 4] {
         let [l, w] = self.half;
         [(-l, -w), (l, -w), (l, w), (-l, w)].map(|(a, b)| {
@@ -94,7 +107,9 @@ impl Footprint {
 /// Surfaces and the primitives that refer to them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Solids {
+    /// Surfaces, indexed by the primitives.
     pub(crate) surfaces: Vec<Face>,
+    /// Triangles and ellipsoids.
     pub(crate) primitives: Primitives,
 }
 
@@ -120,7 +135,8 @@ impl Solids {
         (self.surfaces.len() - 1) as SurfaceId
     }
 
-    /// A convex flat polygon, corners in order; the texture's u axis is its first edge, v points inwards.
+    /// Adds a convex flat polygon with its corners in order. The u axis of its texture is the first edge, v points
+    /// inwards.
     pub(crate) fn polygon(&mut self, corners: &[Vector3<f64>], finish: Finish) {
         let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).normalize();
         let surface = self.flat_surface(finish, corners[0], corners[1] - corners[0], normal);
@@ -130,7 +146,7 @@ impl Solids {
         }
     }
 
-    /// The four walls of a rectangle from one altitude to another.
+    /// Adds the four walls of a rectangle between the altitudes `from_z` and `to_z`.
     pub(crate) fn walls(&mut self, footprint: &Footprint, from_z: f64, to_z: f64, finish: Finish) {
         let (low, high) = (footprint.corners(from_z), footprint.corners(to_z));
         for k in 0..4 {
@@ -148,18 +164,19 @@ impl Solids {
         }
     }
 
-    /// A box with a flat top.
+    /// Adds a box with a flat top between the altitudes `from_z` and `to_z`.
     pub(crate) fn block(&mut self, footprint: &Footprint, from_z: f64, to_z: f64, sides: Finish, top: Finish) {
         self.walls(footprint, from_z, to_z, sides);
         self.polygon(&footprint.corners(to_z), top);
     }
 
-    /// An ellipsoid textured in plan, shifted with height so that its sides are textured too.
+    /// Adds an ellipsoid with half axes `radii` along east, north and up, metres.
     pub(crate) fn ellipsoid(&mut self, centre: Vector3<f64>, radii: Vector3<f64>, surface: SurfaceId) {
         self.primitives.ellipsoids.push(Ellipsoid { centre, radii, surface });
     }
 
-    /// A surface to be shared by many ellipsoids, textured along two slanted axes.
+    /// Adds a surface to be shared by many ellipsoids. Its texture axes are slanted, so that the sides of ellipsoids
+    /// are textured too.
     pub(crate) fn foliage_surface(&mut self, origin: Vector3<f64>, finish: Finish) -> SurfaceId {
         self.surfaces.push(Face {
             class: finish.class,

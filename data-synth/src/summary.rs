@@ -1,4 +1,4 @@
-//! Summary of a scene: the request as it was met, and the numbers of each image. Written as the scene's manifest.
+//! Summary of a scene: the request, and the numbers of each image. It is written as the scene's manifest.
 
 use crate::faults::{Haze, Stretch};
 use crate::request::SatelliteRequest;
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 /// Summary of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// The request, as it was met.
+    /// Request of the scene.
     pub request: SatelliteRequest,
     /// Centre of the site.
     pub origin: GeoPoint,
@@ -37,7 +37,7 @@ pub struct ImageSummary {
     pub name: String,
     /// Acquisition time, UTC.
     pub time: jiff::Timestamp,
-    /// Index of its date.
+    /// Index of the acquisition date, in order of time from 0.
     pub date: usize,
     /// True if the image is listed in `test.txt`.
     pub held_out: bool,
@@ -53,22 +53,23 @@ pub struct ImageSummary {
     pub satellite_azimuth_deg: f64,
     /// Angle at the satellite between nadir and line of sight, degrees.
     pub off_nadir_deg: f64,
-    /// Root mean square residual of the fitted RPC over the vendor's full scene, pixels.
+    /// Root mean square residual of the fitted RPC over the vendor's full scene, pixels; 0 for the camera of a real
+    /// image.
     pub rpc_rms_px: f64,
-    /// Largest residual, pixels.
+    /// Largest residual of the fitted RPC over the vendor's full scene, pixels; 0 for the camera of a real image.
     pub rpc_max_px: f64,
     /// RPC bias: constant (column, row) error put into the RPC, pixels.
     pub pointing_bias_px: [f64; 2],
-    /// Share of the image in shadow.
+    /// Share of the image in shadow, 0 to 1.
     pub shadow_share: f64,
-    /// Share of the image behind clouds; absent from the manifest if none.
+    /// Share of the image behind clouds, 0 to 1; absent from the manifest if none.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub cloud_share: f64,
     /// Gain of each band of the file relative to the collection's mean; absent from the manifest if bands have no gains
     /// of their own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub band_gains: Vec<f64>,
-    /// The haze of its date; absent from the manifest if there is none.
+    /// Haze of the acquisition date; absent from the manifest if there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub haze: Option<Haze>,
     /// Stretch of linear counts to display values; absent from the manifest without one.

@@ -14,7 +14,8 @@ pub(crate) struct HeightField {
 }
 
 impl HeightField {
-    /// Samples `height_m(x, y)` on a lattice of `cell_m` that reaches at least `half_extent_m` from the origin.
+    /// Samples `height_m(x, y)`, metres, on a lattice of `cell_m` that reaches at least `half_extent_m` from the
+    /// origin.
     pub(crate) fn sample(half_extent_m: f64, cell_m: f64, height_m: impl Fn(f64, f64) -> f64 + Sync) -> Self {
         let half_cells = (half_extent_m / cell_m).ceil() as usize;
         let (cells, half_extent_m) = (2 * half_cells, half_cells as f64 * cell_m);
@@ -53,12 +54,12 @@ impl HeightField {
         self.heights_m.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// Highest corner of a cell, metres.
+    /// Altitude of the highest corner of a cell, metres.
     pub(crate) fn cell_top_m(&self, cell: usize) -> f64 {
         self.corners_m(cell).into_iter().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// Altitude at a place; the edge's altitude beyond the edge.
+    /// Altitude at a place, metres; beyond the edge it is that of the nearest place on the edge.
     pub(crate) fn height_m(&self, x: f64, y: f64) -> f64 {
         let (cell, fx, fy) = self.locate(x, y);
         let (along_x, along_y, base) = self.plane(cell, fx >= fy);
@@ -72,7 +73,7 @@ impl HeightField {
         Vector3::new(-along_x / self.cell_m, -along_y / self.cell_m, 1.0).normalize()
     }
 
-    /// Calls `visit` for each cell that the box touches in plan.
+    /// Calls `visit` with the index of each cell that the box touches in plan.
     pub(crate) fn for_cells_within(&self, low: &Vector3<f64>, high: &Vector3<f64>, mut visit: impl FnMut(usize)) {
         let half = self.half_extent_m;
         if high.x < -half || high.y < -half || low.x > half || low.y > half {
@@ -160,7 +161,7 @@ pub(crate) struct Relief {
 }
 
 impl Relief {
-    /// Slope up to 3 %, swells of a few metres.
+    /// Random relief with a slope of 0.8 to 3 % and swells of a few metres.
     pub(crate) fn new(seed: u64) -> Self {
         use rand::RngExt;
         let mut random = crate::noise::stream(seed, 0x7E11);
@@ -173,7 +174,7 @@ impl Relief {
         }
     }
 
-    /// Altitude above the origin, metres.
+    /// Altitude above the site's centre at a place (metres east and north of it), metres.
     pub(crate) fn height_m(&self, x: f64, y: f64) -> f64 {
         let swell = noise(self.seed, x / 130.0, y / 130.0) * 1.4
             + noise(self.seed ^ 0x55, x / 57.0, y / 57.0) * 0.5

@@ -9,7 +9,7 @@ use crate::truth_grid::{TruthGrid, plumb_line};
 use heliosplat_rpc::LocalFrame;
 use rayon::prelude::*;
 
-/// Cells nearer to sea or snow are not counted as bare, metres: windows of a matcher reach over the edge.
+/// Cells nearer to sea or snow than this are not counted as bare, metres: windows of a matcher reach over the edge.
 const BESIDE_COVER_M: f64 = 4.0;
 /// Albedo samples along each side of a cell.
 const FINE: usize = 3;
@@ -17,19 +17,19 @@ const FINE: usize = 3;
 /// The truth rasters, row by row from the north-west.
 #[derive(Default)]
 pub(crate) struct Truth {
-    /// Ellipsoidal altitude of the highest surface at each cell's centre, metres.
+    /// Ellipsoidal altitude of the highest surface at each cell's centre, metres; NaN where there is none.
     pub(crate) altitude_m: Vec<f32>,
-    /// Ellipsoidal altitude of the bare ground at each cell's centre, metres; empty unless it is asked for.
+    /// Ellipsoidal altitude of the bare ground at each cell's centre, metres; [`survey`] leaves it empty.
     pub(crate) ground_m: Vec<f32>,
-    /// LAS code of that surface.
+    /// LAS code of the highest surface at each cell's centre; 0 where there is none.
     pub(crate) class: Vec<u8>,
-    /// Mean albedo of each cell, bands interleaved.
+    /// Mean albedo of each cell, 0 to 1, bands interleaved.
     pub(crate) albedo: Vec<f32>,
     /// 1 where sea or snow covers the cell's centre.
     pub(crate) cover: Vec<u8>,
-    /// One flag for each cell, true if its centre lies well outside of sea and snow.
+    /// One flag for each cell, true if its centre lies more than 4 m outside of sea and snow.
     pub(crate) bare: Vec<bool>,
-    /// 1 where the cell's centre would be glossy.
+    /// 1 where the highest surface at the cell's centre has a glossy lobe.
     pub(crate) glossy: Vec<u8>,
 }
 
@@ -41,7 +41,8 @@ impl Truth {
     }
 }
 
-/// Ellipsoidal altitudes of the surface at the centre of each cell of the grid, metres.
+/// Ellipsoidal altitudes of the highest surface at the centre of each cell of the grid, metres, row by row; NaN where
+/// there is none.
 pub(crate) fn altitudes(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f32> {
     let at = |cell: usize| {
         let centre = [(cell % grid.size) as f64 + 0.5, (cell / grid.size) as f64 + 0.5];
@@ -50,7 +51,7 @@ pub(crate) fn altitudes(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) 
     (0..grid.size * grid.size).into_par_iter().map(at).collect()
 }
 
-/// Looks straight down on every cell of the grid.
+/// Surveys the scene from straight above: the rasters of the grid, except for [`Truth::ground_m`].
 pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: BandSet) -> Truth {
     let rows: Vec<Truth> = (0..grid.size)
         .into_par_iter()
@@ -99,7 +100,8 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
     truth
 }
 
-/// The highest surface at a place of the grid (columns and rows of cells), along the ellipsoid's normal.
+/// Highest surface at a place of the grid (columns and rows of cells), along the ellipsoid's normal; `None` outside of
+/// the terrain.
 pub(crate) fn look_down(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, at: [f64; 2]) -> Option<Hit> {
     let limits_m = [scene.tracer.bottom_m() - 1.0, scene.tracer.top_m() + 1.0];
     scene.tracer.trace(&plumb_line(frame, grid, at, limits_m))

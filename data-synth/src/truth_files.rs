@@ -11,9 +11,9 @@ use crate::truth_grid::TruthGrid;
 use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
 
-/// NaN would do, but not every tool reads it.
+/// Value of unknown samples. Not every tool reads NaN.
 const NODATA: f32 = -9999.0;
-/// Description of the masks of shadows.
+/// Description in the files of shadow masks.
 pub(crate) const SHADOW_MEANS: &str =
     "1 where the sun reaches less than half of the pixel: cast shadow, and surfaces that face away from it";
 /// Metadata item of altitudes.
@@ -21,11 +21,13 @@ const DATUM: (&str, &str) = ("VERTICAL_DATUM", "WGS84 ellipsoid, metres");
 
 /// The folder of the truth, whose rasters lie on one grid.
 pub(crate) struct TruthFolder<'a> {
+    /// Folder of the scene.
     pub(crate) staging: &'a Staging,
+    /// Grid of the rasters.
     pub(crate) grid: &'a TruthGrid,
 }
 
-/// Values with the mark of unknown ones.
+/// Copy of the values with NaN replaced by [`NODATA`].
 fn marked<'a>(values: impl IntoIterator<Item = &'a f32>) -> Vec<f32> {
     let mark = |value: &f32| if value.is_nan() { NODATA } else { *value };
     values.into_iter().map(mark).collect()
@@ -57,7 +59,7 @@ impl TruthFolder<'_> {
         write(&self.staging.path(&format!("truth/{name}.tif"))?, &raster)
     }
 
-    /// Writes altitudes, the unknown ones marked.
+    /// Writes altitudes, metres above the ellipsoid.
     fn put_altitudes(&self, name: &str, altitudes_m: &[f32], about: &str) -> Result<(), SynthError> {
         let items = [("DESCRIPTION", about), DATUM];
         self.put(name, Samples::F32(altitudes_m), &["altitude"], &items, Some(NODATA))
@@ -68,7 +70,10 @@ impl TruthFolder<'_> {
         self.put(name, Samples::U8(mask), &[name], &[("DESCRIPTION", about)], None)
     }
 
-    /// Altitude, classes and albedo from straight above, and on request cover and gloss.
+    /// Writes altitudes, classes and albedo, and on request cover and gloss.
+    ///
+    /// # Errors
+    /// `SynthError::Failed` when a file cannot be written.
     pub(crate) fn write(&self, request: &SatelliteRequest, truth: &Truth) -> Result<(), SynthError> {
         let altitudes_m = marked(&truth.altitude_m);
         let about = "highest surface at the centre of each cell, without cars";
@@ -113,7 +118,11 @@ impl TruthFolder<'_> {
             .text("truth/dsm.txt", &format!("{west_m}\n{south_m}\n{size}\n{cell_m}\n"))
     }
 
-    /// Change in altitude from before the first change to after the last, and the day from which it shows (YYYYMMDD).
+    /// Writes the altitudes before the first change, their change until after the last, and for each cell the day from
+    /// which the change shows (YYYYMMDD, 0 for none).
+    ///
+    /// # Errors
+    /// `SynthError::Failed` when a file cannot be written.
     pub(crate) fn write_change(&self, [before, after]: [&Truth; 2], changed_at: &[f64]) -> Result<(), SynthError> {
         let about = "highest surface at the centre of each cell at the time of the first image, without cars; dsm.tif is that of the last";
         self.put_altitudes("dsm_before", &marked(&before.altitude_m), about)?;
@@ -132,7 +141,11 @@ impl TruthFolder<'_> {
         self.put("change", Samples::F64(&values), &bands, &items, Some(NODATA))
     }
 
-    /// Images from straight above under suns of no image, their shadows, and the hours of sun of one day.
+    /// Writes images from straight above under the suns `suns_deg` (azimuth, elevation), their shadows, and the hours
+    /// of sun of one day. `rows_done` receives the number of rows of each finished batch.
+    ///
+    /// # Errors
+    /// `SynthError::Failed` when a file cannot be written.
     pub(crate) fn write_relit(
         &self,
         request: &SatelliteRequest,

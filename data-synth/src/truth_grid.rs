@@ -1,4 +1,4 @@
-//! The map grid that truth lies on, and the lines on which it looks down.
+//! Map grid of the truth rasters, and the vertical rays through its cells.
 
 use crate::ray::Ray;
 use crate::utm::UtmZone;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// A north-up grid of square cells in a UTM zone.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TruthGrid {
-    /// The zone.
+    /// UTM zone of the coordinates.
     pub zone: UtmZone,
     /// Easting of the upper-left cell's upper-left corner, metres.
     pub west_m: f64,
@@ -16,12 +16,13 @@ pub struct TruthGrid {
     pub north_m: f64,
     /// Side of a cell, metres.
     pub cell_m: f64,
-    /// Cells along each side.
+    /// Number of cells along each side.
     pub size: usize,
 }
 
 impl TruthGrid {
-    /// A square of `extent_m` around a place, its corners on multiples of the cell's side.
+    /// A square grid around a place, with a side of about `extent_m` and cells of `cell_m`, metres. Its corners lie on
+    /// multiples of the cell's side.
     pub(crate) fn around(centre: GeoPoint, extent_m: f64, cell_m: f64) -> Self {
         let zone = UtmZone::of(centre.lon_deg, centre.lat_deg);
         let [east_m, north_m] = zone.project(centre.lon_deg, centre.lat_deg);
@@ -37,7 +38,8 @@ impl TruthGrid {
         }
     }
 
-    /// Longitude and latitude of a place in cells: (0.5, 0.5) is the centre of the upper-left cell.
+    /// Longitude and latitude, degrees, of a place given in columns and rows of cells: (0.5, 0.5) is the centre of the
+    /// upper-left cell.
     pub(crate) fn lon_lat(&self, col: f64, row: f64) -> [f64; 2] {
         self.zone
             .unproject(self.west_m + col * self.cell_m, self.north_m - row * self.cell_m)

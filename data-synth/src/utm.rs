@@ -14,9 +14,9 @@ const FALSE_NORTHING_SOUTH_M: f64 = 10_000_000.0;
 /// A UTM zone on one hemisphere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct UtmZone {
-    /// 1 to 60.
+    /// Number of the zone, 1 to 60.
     pub number: u8,
-    /// True if northings start at 10 000 km.
+    /// True on the southern hemisphere, where northings start at 10 000 km.
     pub south: bool,
 }
 
@@ -45,7 +45,7 @@ impl UtmZone {
         if self.south { FALSE_NORTHING_SOUTH_M } else { 0.0 }
     }
 
-    /// (easting, northing) in metres of a longitude and latitude in degrees.
+    /// Easting and northing, metres, of a longitude and latitude, degrees.
     pub fn project(self, lon_deg: f64, lat_deg: f64) -> [f64; 2] {
         let series = Series::new();
         let difference_deg = (lon_deg - self.central_meridian_deg() + 540.0).rem_euclid(360.0) - 180.0;
@@ -64,7 +64,7 @@ impl UtmZone {
         [FALSE_EASTING_M + scale * east, self.false_northing_m() + scale * north]
     }
 
-    /// (longitude, latitude) in degrees of an easting and northing in metres.
+    /// Longitude and latitude, degrees, of an easting and northing, metres. Longitudes are in -180..180.
     pub fn unproject(self, easting_m: f64, northing_m: f64) -> [f64; 2] {
         let series = Series::new();
         let scale = SCALE * series.rectifying_radius_m;

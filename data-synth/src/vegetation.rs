@@ -22,25 +22,35 @@ pub(crate) enum TreeKind {
 /// One tree.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tree {
+    /// Distance of the trunk east of the site's centre, metres.
     pub(crate) x: f64,
+    /// Distance of the trunk north of the site's centre, metres.
     pub(crate) y: f64,
+    /// Radius of the crown, metres.
     pub(crate) radius_m: f64,
+    /// Height above the ground, metres.
     pub(crate) height_m: f64,
+    /// Shape of the tree.
     pub(crate) kind: TreeKind,
+    /// Mean albedo of the leaves in summer.
     pub(crate) leaf: Spectrum,
+    /// Seed of the shape.
     pub(crate) seed: u64,
 }
 
 /// A straight hedge.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Hedge {
+    /// Both ends, (east, north) of the site's centre, metres.
     pub(crate) ends: [[f64; 2]; 2],
+    /// Mean height above the ground, metres.
     pub(crate) height_m: f64,
+    /// Seed of the shape.
     pub(crate) seed: u64,
 }
 
 impl Tree {
-    /// Adds the tree, standing at altitude `ground_z`.
+    /// Adds the tree to the solids; `ground_z` is the altitude of the ground, metres of the scene's frame.
     pub(crate) fn build(&self, solids: &mut Solids, ground_z: f64) {
         let mut random = stream(self.seed, 0x7EE);
         let leaves = self.leaf_surfaces(solids, ground_z, &mut random);
@@ -130,7 +140,8 @@ impl Tree {
 }
 
 impl Hedge {
-    /// Adds the hedge as a row of overlapping bushes on the ground `height_at(x, y)`.
+    /// Adds the hedge to the solids as a row of overlapping bushes. `height_at(x, y)` is the altitude of the ground,
+    /// metres.
     pub(crate) fn build(&self, solids: &mut Solids, height_at: impl Fn(f64, f64) -> f64) {
         let mut random = stream(self.seed, 0x4ED);
         let [from, to] = self.ends;

@@ -1,5 +1,5 @@
-//! States in release builds of a checkout which commit last changed the program (`HELIOSPLAT_SOURCE`); `+` stands for changes since. Elsewhere
-//! there is none: a build is known by its own hash (`pipelines/fitting/src/program.rs`).
+//! Sets `HELIOSPLAT_SOURCE` in release builds of a checkout to the last commit that changed the program, with `+` after
+//! uncommitted changes. Other builds are identified only by their hash (`pipelines/fitting/src/program.rs`).
 
 use std::path::Path;
 use std::process::Command;

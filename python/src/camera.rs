@@ -8,13 +8,13 @@ use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-/// Points that one thread takes at a time, at least.
+/// Least number of points for one thread.
 const CHUNK: usize = 1024;
 
 /// One array for each of two coordinates.
 type Pair<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
-/// A camera.
+/// An RPC camera.
 #[pyclass(module = "heliosplat", frozen)]
 pub(crate) struct Camera {
     rpc: Rpc,
@@ -22,7 +22,7 @@ pub(crate) struct Camera {
 
 #[pymethods]
 impl Camera {
-    /// The camera in a text of any known format; `name` is for the message only.
+    /// Reads the camera from a text of any known format; `name` appears in error messages only.
     #[staticmethod]
     fn from_text(name: &str, text: &str) -> PyResult<Self> {
         rpc_from_text(name, text)
@@ -30,7 +30,7 @@ impl Camera {
             .map_err(|error| raised(format!("{name}: {error}")))
     }
 
-    /// The object of rpcm and Sat-NeRF, as JSON.
+    /// The camera as the JSON object of rpcm and Sat-NeRF.
     fn json(&self) -> String {
         satnerf_json_rpc(&self.rpc).to_string()
     }
@@ -40,7 +40,8 @@ impl Camera {
         rpc_txt(&self.rpc)
     }
 
-    /// Columns and rows of ground points.
+    /// Columns and rows, pixels, of ground points given in degrees and metres above the ellipsoid. Arrays of different
+    /// lengths raise `Error`.
     fn project<'py>(
         &self,
         py: Python<'py>,
@@ -63,7 +64,8 @@ impl Camera {
         Ok((cols.into_pyarray(py), rows.into_pyarray(py)))
     }
 
-    /// Longitudes and latitudes of image points at heights; NaN where there is no such point of the ground.
+    /// Longitudes and latitudes, degrees, of image points (pixels) at heights (metres above the ellipsoid); NaN where
+    /// an image point sees no ground. Arrays of different lengths raise `Error`.
     fn localise<'py>(
         &self,
         py: Python<'py>,
@@ -94,7 +96,7 @@ fn same_length(arrays: &[&[f64]]) -> PyResult<()> {
     }
 }
 
-/// Pairs of numbers of `count` points, on all threads.
+/// The pair of numbers of each of `count` points, computed on all threads.
 fn in_parallel(count: usize, work: impl Fn(usize) -> [f64; 2] + Sync + Send) -> (Vec<f64>, Vec<f64>) {
     let pairs = (0..count).into_par_iter().with_min_len(CHUNK);
     pairs.map(work).map(|[a, b]| (a, b)).unzip()

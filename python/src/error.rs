@@ -10,7 +10,7 @@ pyo3::create_exception!(
     "What was given cannot be used; the message says why."
 );
 
-/// The exception with a message.
+/// The exception of the package with a message.
 pub(crate) fn raised(message: impl std::fmt::Display) -> PyErr {
     Error::new_err(message.to_string())
 }

@@ -1,7 +1,7 @@
 //! Functions of the Python module: arrays in, arrays out, with the interpreter's lock released during computation.
 //!
-//! The module is private to the Python package beside it (`heliosplat/`), which brings arrays to the shapes and types that are asked for
-//! here: one-dimensional or two-dimensional, contiguous. Nothing in it links GDAL.
+//! The module is private to the Python package beside it (`heliosplat/`), which passes contiguous arrays of one or two
+//! dimensions. It does not link GDAL.
 
 mod camera;
 mod error;

@@ -1,4 +1,4 @@
-//! The sun, and what it does to a surface of heights.
+//! Positions of the sun; shadows, horizons and hours of sun of a surface of heights.
 
 use crate::error::raised;
 use heliosplat_grid::relief::{Relief, Toward};
@@ -9,13 +9,14 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2}
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-/// A cell whose height is unknown, in a mask.
+/// Value in a mask of a cell of unknown height.
 const UNKNOWN: u8 = 255;
 
 /// One array for each of two angles.
 type Pair<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
-/// Azimuths and elevations of the sun, degrees, at times in microseconds since 1970 and places.
+/// Azimuths (clockwise from north) and elevations of the sun, degrees, at times in microseconds since 1970 and at
+/// places in degrees and metres above the ellipsoid. Arrays of different lengths raise `Error`.
 #[pyfunction]
 pub(crate) fn sun_positions<'py>(
     py: Python<'py>,
@@ -51,7 +52,8 @@ pub(crate) fn sun_positions<'py>(
     Ok((azimuths.into_pyarray(py), elevations.into_pyarray(py)))
 }
 
-/// 1 in the shadow of a sun, 0 in the sun, 255 where the height is unknown.
+/// Mask of the shadows of a sun on a surface, rows by columns: 1 in shadow, 0 in the sun, 255 where the height is
+/// unknown. `cell_m` is the side of a cell, metres; the elevation is between 0 and 90 degrees.
 #[pyfunction]
 pub(crate) fn shadows<'py>(
     py: Python<'py>,
@@ -74,7 +76,8 @@ pub(crate) fn shadows<'py>(
     shaped(py, surface.shape, mask)
 }
 
-/// Elevation of the horizon toward an azimuth, degrees, at least `lowest_deg`; NaN where the height is unknown.
+/// Elevation of the horizon toward an azimuth, degrees, rows by columns, at least `lowest_deg`; NaN where the height is
+/// unknown. `lowest_deg` is between 0 and 90.
 #[pyfunction]
 pub(crate) fn horizons<'py>(
     py: Python<'py>,
@@ -97,7 +100,8 @@ pub(crate) fn horizons<'py>(
     shaped(py, surface.shape, found)
 }
 
-/// Sum of `hours` over the suns that each cell sees; NaN where its height is unknown. A sun below `lowest_deg` shines on nothing.
+/// Sum of `hours`, the time of each sun, over the suns that reach a cell, rows by columns; NaN where its height is
+/// unknown. Suns below `lowest_deg`, between 0 and 90, are left out.
 #[pyfunction]
 pub(crate) fn sun_hours<'py>(
     py: Python<'py>,
@@ -132,7 +136,7 @@ pub(crate) fn sun_hours<'py>(
     shaped(py, surface.shape, total)
 }
 
-/// Heights as they came.
+/// Heights of a surface, metres, row by row.
 struct Surface<'a> {
     heights: &'a [f32],
     shape: [usize; 2],

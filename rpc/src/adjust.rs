@@ -9,8 +9,8 @@
 //! residual), so that moving shadows and mismatches have no weight in the end.
 //!
 //! **Gauge.** Images do not determine a common translation of the scene (three unknowns). Of all corrections that fit
-//! equally well, [`smallest_shifts`] selects the smallest. With two views that leaves the shift across their epipolar
-//! lines. Rotation and drift have a prior of [`SLOPE_SIGMA_PX`], so that weak ties cannot inflate them.
+//! equally well, [`smallest_shifts`] selects the smallest. With two views, only the shift across their epipolar lines
+//! remains. Rotation and drift have a prior of [`SLOPE_SIGMA_PX`], so that weak ties cannot inflate them.
 //!
 //! **Terms.** A track is one tie point: a ground point visible in several images. A sighting is its position in one of
 //! them.
@@ -43,11 +43,12 @@ use problem::BlockAdjustment;
 
 /// Finds the corrections that make the images agree on the tracks.
 ///
-/// `frame` is any local frame within some tens of kilometres.
+/// `frame` is any local frame within some tens of kilometres of the tracks.
 ///
 /// # Errors
-/// [`RpcError::Invalid`] when a track names an image that is not there, when there are fewer than [`FEWEST_SIGHTINGS`]
-/// tracks of two sightings, or when the cameras give no numbers there.
+/// [`RpcError::Invalid`] when the image index of a sighting is out of range, when fewer than [`FEWEST_SIGHTINGS`]
+/// tracks have two sightings, when a camera projects a track to no finite position, or when the ties do not determine
+/// the cameras.
 pub fn adjust(
     images: &[AdjustImage],
     tracks: &[Track],

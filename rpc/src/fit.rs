@@ -1,10 +1,10 @@
-//! An RPC fitted to ground-image pairs: regularised least squares, reweighted as it goes.
+//! Fit of an RPC to pairs of ground and image points: regularised least squares, reweighted in each round.
 //!
-//! Each rational `r = N/D` has 39 unknowns (`D` starts with 1); starting from `D = 1`, where the problem is linear,
-//! each round solves the equations linearised at the last one, which weighs every sample by `1/D` (C. V. Tao, Y. Hu, *A
+//! Each rational `r = N/D` has 39 unknowns (`D` starts with 1). From `D = 1`, where the problem is linear, each round
+//! solves the equations linearised at the last solution, which weighs every sample by `1/D` (C. V. Tao, Y. Hu, *A
 //! comprehensive study of the rational function model*, PE&RS 67(12), 2001, with the predicted image in place of the
-//! observed one, so that noise does not bias the denominator). The unknowns are strongly correlated: a prior as strong
-//! as the residuals' noise warrants keeps the denominator near 1, so that it gains no poles.
+//! observed one, so that noise does not bias the denominator). The unknowns are strongly correlated: a prior weighted
+//! by the variance of the residuals keeps the denominator near 1, so that it gains no poles.
 
 use crate::polynomial::{Monomials, monomials, value};
 use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
@@ -15,7 +15,7 @@ use nalgebra::{SMatrix, SVector};
 pub const FEWEST_SAMPLES: usize = 39;
 const UNKNOWNS: usize = 39;
 const MAX_ROUNDS: usize = 20;
-/// A round that improves the sum of squares by less than this share is the last but one.
+/// Relative improvement of the sum of squares below which the rounds end.
 const LAST_IMPROVEMENT: f64 = 1e-6;
 /// Standard deviation of the denominator's coefficients; those of real cameras are usually 0.001 to 0.1.
 const DENOMINATOR_SIGMA: f64 = 0.1;
@@ -23,8 +23,8 @@ const DENOMINATOR_SIGMA: f64 = 0.1;
 /// samples leave open (three heights cannot separate `H` from `HHH`). It slows the rounds and does not bias their
 /// limit.
 const LEAST_DAMPING: f64 = 1e-10;
-/// Factors on the damping for terms of orders 0 to 3: between two terms that explain the same, the one of lower order
-/// wins.
+/// Factors on the damping for terms of orders 0 to 3: of two terms that the samples cannot separate, the one of lower
+/// order is preferred.
 const DAMPING_BY_ORDER: [f64; 4] = [1e-8, 1e-8, 1e-4, 1.0];
 
 type Unknowns = SVector<f64, UNKNOWNS>;
@@ -94,7 +94,7 @@ fn normalisation(samples: &[(GeoPoint, ImagePoint)]) -> Result<Rpc, RpcError> {
             .iter()
             .map(of)
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-                // Once not a number, always not a number: `min` and `max` alone would forget it.
+                // `f64::min` and `f64::max` ignore NaN, and one NaN has to make the range NaN.
                 if v.is_nan() || low.is_nan() {
                     (f64::NAN, f64::NAN)
                 } else {
@@ -116,7 +116,7 @@ fn normalisation(samples: &[(GeoPoint, ImagePoint)]) -> Result<Rpc, RpcError> {
     let (from_first_deg, longitude_scale_deg) = centre_and_half("longitudes", 1e-12, &|s| {
         wrapped_difference_deg(s.0.lon_deg, first_lon_deg)
     })?;
-    // One height alone is a legal, if poor, set of samples: the ridge then leaves height out of the model.
+    // A single height is allowed: the damping then leaves height out of the model.
     let (height_offset_m, height_half_m) = centre_and_half("heights", 0.0, &|s| s.0.height_m)?;
     Ok(Rpc {
         line_offset,
@@ -205,7 +205,7 @@ impl Linearised {
             let bottom = value(&denominator, m);
             let predicted = value(&numerator, m) / bottom;
             if bottom < 0.1 {
-                // Near a pole: whatever the residual, this is no camera.
+                // Near a pole the model is no camera, at any residual.
                 system.squared = f64::INFINITY;
                 return system;
             }

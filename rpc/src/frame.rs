@@ -9,7 +9,7 @@ pub const WGS84_SEMI_MAJOR_M: f64 = 6_378_137.0;
 pub const WGS84_FLATTENING: f64 = 1.0 / 298.257_223_563;
 const ECCENTRICITY_SQUARED: f64 = WGS84_FLATTENING * (2.0 - WGS84_FLATTENING);
 
-/// Earth-centred, Earth-fixed metres of a geodetic point.
+/// Earth-centred, Earth-fixed (ECEF) position of a geodetic point, metres.
 pub fn ecef_from_geo(point: GeoPoint) -> Vector3<f64> {
     let (sin_lat, cos_lat) = point.lat_deg.to_radians().sin_cos();
     let (sin_lon, cos_lon) = point.lon_deg.to_radians().sin_cos();
@@ -22,10 +22,11 @@ pub fn ecef_from_geo(point: GeoPoint) -> Vector3<f64> {
     )
 }
 
-/// Geodetic point of Earth-centred, Earth-fixed metres.
+/// Geodetic point of an Earth-centred, Earth-fixed (ECEF) position in metres; longitude in [-180, 180] degrees.
 ///
-/// Bowring's iteration on the reduced latitude, in sine and cosine so that poles and equator are ordinary; good to
-/// rounding from the surface to satellite orbits. At the poles, where longitude has no meaning, it is 0.
+/// Bowring's iteration on the reduced latitude (B. R. Bowring, *Transformation from spatial to geographical
+/// coordinates*, Survey Review 23, 1976), in sine and cosine so that poles and equator are no special cases. It is
+/// exact to rounding from the surface to satellite orbits. The longitude of a pole is 0.
 pub fn geo_from_ecef(ecef_m: Vector3<f64>) -> GeoPoint {
     const MAX_ITERATIONS: usize = 8;
     let semi_minor_m = WGS84_SEMI_MAJOR_M * (1.0 - WGS84_FLATTENING);
@@ -67,12 +68,12 @@ impl LocalFrame {
         Self { origin }
     }
 
-    /// ENU metres of a geodetic point.
+    /// East, north and up of a geodetic point, metres.
     pub fn enu_from_geo(&self, point: GeoPoint) -> Vector3<f64> {
         self.enu_from_ecef_rotation() * (ecef_from_geo(point) - ecef_from_geo(self.origin))
     }
 
-    /// Geodetic point of ENU metres; longitude in [-180, 180] degrees.
+    /// Geodetic point of east, north and up in metres; longitude in [-180, 180] degrees.
     pub fn geo_from_enu(&self, enu_m: Vector3<f64>) -> GeoPoint {
         geo_from_ecef(self.enu_from_ecef_rotation().transpose() * enu_m + ecef_from_geo(self.origin))
     }

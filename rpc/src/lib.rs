@@ -8,8 +8,9 @@
 //!
 //! | module | content |
 //! |---|---|
-//! | [`mod@read`], [`mod@write`] | RPCs and acquisition metadata from RPB, `_RPC.TXT`, DIMAP, Maxar XML, Sat-NeRF JSON, GeoTIFF tags, GDAL's domains; and back |
-//! | [`rpc`] | image position of a ground point ([`Rpc::project`]), and ground point of a pixel at a height ([`Rpc::localise`]) |
+//! | [`mod@read`] | RPC and metadata from RPB, `_RPC.TXT`, DIMAP, Maxar XML, Sat-NeRF JSON, GeoTIFF tag, GDAL domains |
+//! | [`mod@write`] | RPC as `_RPC.TXT`, Sat-NeRF JSON, GeoTIFF tag or GDAL domain |
+//! | [`rpc`] | image position of a ground point ([`Rpc::project`]), ground point at a height ([`Rpc::localise`]) |
 //! | [`frame`] | WGS 84 longitude, latitude, height to local east, north, up, and back |
 //! | [`pinhole`] | the projective camera that is nearest to an RPC over a window, with its largest error in pixels |
 //! | [`parallax`] | precision of altitudes from images of different directions |

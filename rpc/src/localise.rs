@@ -1,29 +1,30 @@
 //! Localisation: the ground->image model inverted at a given height.
 //!
 //! Vendors' own image->ground polynomials are never used: they are a second fit, off by up to 80 m on real products.
-//! Newton runs in normalised coordinates, with bounded steps and backtracking; where the direct way fails, the target
-//! is approached along the line from the model's centre, and then from a grid of starts.
+//! Newton runs in normalised coordinates, with bounded steps and backtracking; where that fails, it follows the line
+//! from the model's centre to the target, and last it runs from a grid of starts.
 
 use crate::polynomial::{gradient_horizontal, monomials, value};
 use crate::rpc::wrapped_longitude_deg;
 use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use nalgebra::{Matrix2, Vector2};
 
-/// Residual at the precision of f64, at which iteration stops.
+/// Residual at the precision of f64, at which iteration stops, pixels.
 const TARGET_RESIDUAL_PX: f64 = 2e-10;
-/// Largest residual of a solution, from rounding on a model with large coordinates.
+/// Largest residual of a solution, from rounding on a model with large coordinates, pixels.
 const ACCEPTED_RESIDUAL_PX: f64 = 1e-6;
 /// Largest reprojection error of a result, pixels: longitude and latitude rounded to f64 are off by 2 nm.
 const ACCEPTED_REPROJECTION_PX: f64 = 1e-5;
 const MAX_ITERATIONS: usize = 60;
 const MAX_HALVINGS: usize = 14;
 const CONTINUATION_STEPS: usize = 16;
-/// Sound models have spans up to 1.4 (50 real models), models with a wrong fit 6 and more. Models whose scales are not
-/// those of their image have any.
+/// Largest span, ground half ranges per image half range, of a model that is trusted without a further check. Fifty
+/// sound models have up to 1.4, models with a wrong fit 6 and more. Models whose scales are not those of their image
+/// have any span.
 const LARGEST_SPAN: f64 = 3.0;
-/// Largest change of the slope between the centre and a solution, relative to the slope itself, where the span is too
-/// large: at one, the linear part of the model means nothing any more. It is at most 0.09 over sound images, whatever
-/// their scales, and 11 over an image of a wrong fit.
+/// Largest relative change of the slope from the centre to a solution, for models with too large a span: at 1, the
+/// linear part of the model no longer describes it. The change is at most 0.09 over sound images at any scale, and 11
+/// over an image of a wrong fit.
 const LARGEST_BEND: f64 = 1.0;
 
 /// One localisation: the model at one height, and the target image point.
@@ -31,8 +32,8 @@ struct Problem<'a> {
     rpc: &'a Rpc,
     height: f64,
     target: Vector2<f64>,
-    /// Longest Newton step, in the model's half ranges: the area itself is two across, or as far as the linear part of
-    /// the model places the target where the scales are not those of the image.
+    /// Longest Newton step, in the model's half ranges: 1 for the model's area, which is 2 across, or half the length
+    /// of the first linear step where that is more (scales that are not those of the image).
     longest: f64,
 }
 
@@ -40,7 +41,8 @@ struct Problem<'a> {
 struct Evaluation {
     image: Vector2<f64>,
     slope: Matrix2<f64>,
-    /// Signs of the denominators: crossing a pole of the rational is never the way to a solution.
+    /// Signs of the denominators, true if positive: a step that changes one crosses a pole of the rational and is
+    /// rejected.
     signs: [bool; 2],
 }
 
@@ -95,7 +97,7 @@ impl Rpc {
             lat_deg: solution.y * self.latitude_scale_deg + self.latitude_offset_deg,
             height_m,
         };
-        // The final point is checked: scales that are zero or not finite show only here.
+        // Scales that are zero or not finite show only in the final point.
         let seen = self.project(ground);
         let off_px = (seen.col - point.col).hypot(seen.row - point.row);
         if off_px < ACCEPTED_REPROJECTION_PX {

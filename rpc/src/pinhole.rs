@@ -1,8 +1,8 @@
 //! The local projective (pinhole) camera fitted to an RPC over one image window and altitude range.
 //!
-//! From orbit the field of view of a window is so narrow that its perspective moves a pixel by tenths of a pixel only:
-//! the denominator's three coefficients are barely seen by the data. The fit therefore runs in normalised coordinates
-//! and holds the denominator near 1 by a prior, which is far weaker than any perspective visible in the pixels.
+//! From orbit, perspective moves the pixels of a window by tenths of a pixel only, so that samples hardly determine the
+//! denominator's three coefficients. The fit therefore runs in normalised coordinates and holds the denominator near 1
+//! by a prior, which is far weaker than any perspective visible in the pixels.
 
 use crate::frame::LocalFrame;
 use crate::rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
@@ -13,16 +13,17 @@ const FIT_GRID: (usize, usize) = (17, 7);
 /// The residuals are taken on a denser, even grid.
 const CHECK_GRID: (usize, usize) = (2 * FIT_GRID.0 + 1, 2 * FIT_GRID.1 + 1);
 const REFINEMENTS: usize = 3;
-/// Largest residual over root mean square that is level enough.
+/// Ratio of the largest residual to the root mean square at which levelling ends.
 const LEVEL: f64 = 2.4;
-/// Residuals below this need no levelling.
+/// Largest residual that needs no levelling, pixels.
 const LEVELLED_PX: f64 = 1e-3;
 const MAX_LEVELLINGS: usize = 60;
 /// Standard deviation of the residuals, pixels: the expected error of the projective map.
 const RESIDUAL_SIGMA_PX: f64 = 1e-3;
-/// Standard deviation of the denominator's coefficients, per metre: a camera in orbit has 1e-6, at 10 km 1e-4.
+/// Standard deviation of the denominator's coefficients, per metre. They are 1e-6 for a camera in orbit and 1e-4 for
+/// one at 10 km.
 const DENOMINATOR_SIGMA_PER_M: f64 = 1e-4;
-/// The denominator may not fall below this share of its value at the frame's origin.
+/// Least denominator, as a share of its value at the frame's origin.
 const LEAST_DENOMINATOR: f64 = 0.05;
 
 /// `u` (4), `v` (4) and `w` (3) in one vector.
@@ -41,20 +42,20 @@ pub struct ImageWindow {
     pub height: usize,
 }
 
-/// `col = (u[0..3]·p + u[3]) / (1 + w·p)`, `row` likewise with `v`; `p` in ENU metres from the frame's origin.
-/// Columns and rows count from the window's own upper-left pixel centre.
+/// Projective camera: `col = (u[0..3]·p + u[3]) / (1 + w·p)`, `row` likewise with `v`; `p` in ENU metres from the
+/// frame's origin. Columns and rows count from the window's own upper-left pixel centre.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ProjectiveMap {
-    /// Column numerator: three per-metre coefficients and a constant.
+    /// Column numerator: three coefficients in pixels per metre, and a constant in pixels.
     pub u: [f64; 4],
-    /// Row numerator.
+    /// Row numerator, with the units of `u`.
     pub v: [f64; 4],
-    /// Denominator, per metre.
+    /// Three coefficients of the denominator, per metre.
     pub w: [f64; 3],
 }
 
 impl ProjectiveMap {
-    /// (col, row) of an ENU point.
+    /// Column and row, pixels, of an ENU point in metres.
     pub fn project(&self, enu_m: Vector3<f64>) -> [f64; 2] {
         let dot = |c: &[f64]| c[0] * enu_m.x + c[1] * enu_m.y + c[2] * enu_m.z;
         let denominator = 1.0 + dot(&self.w);
@@ -68,7 +69,7 @@ impl ProjectiveMap {
 /// A fitted map and its error relative to the RPC.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PinholeFit {
-    /// The camera.
+    /// The fitted map.
     pub map: ProjectiveMap,
     /// Root mean square residual over the check grid, pixels.
     pub rms_px: f64,
@@ -77,10 +78,11 @@ pub struct PinholeFit {
 }
 
 impl PinholeFit {
-    /// Fits the map to `rpc` over `window` and `altitude_range_m` (ellipsoidal), in `frame`.
+    /// Fits a map in `frame` to `rpc` over `window` and between the two ellipsoidal heights `altitude_range_m`, metres.
     ///
     /// # Errors
-    /// When the RPC cannot be localised over the window.
+    /// `RpcError::Invalid` for a window without pixels, heights that do not run from low to high, or an RPC that no map
+    /// fits; the errors of `Rpc::localise` over the window.
     pub fn fit(
         rpc: &Rpc,
         frame: &LocalFrame,
@@ -153,10 +155,10 @@ fn sample_grid(
     (low_m, high_m): (f64, f64),
     (across, levels): (usize, usize),
 ) -> Result<Vec<Correspondence>, RpcError> {
-    // A flat range still needs some depth, or the map's dependence on height would be a guess.
+    // A flat range gets a depth of two metres; without it the samples do not determine the dependence on height.
     let middle_m = 0.5 * (low_m + high_m);
     let half_m = (0.5 * (high_m - low_m)).max(1.0);
-    // Likewise a window of one pixel.
+    // A window of one column or row is sampled over one pixel for the same reason.
     let [last_col, last_row] = [window.width, window.height].map(|size| (size as f64 - 1.0).max(1.0));
     let share = |i: usize, count: usize| i as f64 / (count - 1) as f64;
     let mut samples = Vec::with_capacity(across * across * levels);
@@ -238,8 +240,9 @@ impl Normalisation {
     }
 }
 
-/// Least squares from the linear equations, refined on pixel residuals, then levelled: samples with large residuals
-/// gain weight until the largest is at most [`LEVEL`] times the root mean square, which grows by a few percent.
+/// Least squares from the linear equations, refined on pixel residuals, then levelled. Levelling raises the weights of
+/// samples with large residuals until the largest residual is at most [`LEVEL`] times the root mean square; the root
+/// mean square grows by a few percent.
 fn fit_normalised(samples: &[Correspondence], normalisation: &Normalisation) -> Result<Parameters, RpcError> {
     let mut weights = vec![1.0; samples.len()];
     // From zero parameters (image 0 everywhere, denominator 1) the step is the linear equations' solution.
@@ -279,8 +282,9 @@ fn predict(parameters: &Parameters, p: &Vector3<f64>) -> Vector2<f64> {
     numerators / (1.0 + dot(parameters, 8, p))
 }
 
-/// One Gauss-Newton step from `parameters` on the weighted pixel residuals with the denominator's prior. Zero
-/// parameters do not see the perspective; there the linear equations `u p + u0 - col (w p) = col` are solved instead.
+/// One Gauss-Newton step from `parameters` on the weighted pixel residuals with the denominator's prior. At zero
+/// parameters the residuals do not depend on the denominator; there the linear equations `u p + u0 - col (w p) = col`
+/// are solved instead.
 fn normal_step(
     samples: &[Correspondence],
     weights: &[f64],

@@ -3,7 +3,8 @@
 /// The monomials of normalised longitude, latitude and height, in RPC00B order.
 pub(crate) type Monomials = [f64; 20];
 
-/// `1 L P H LP LH PH LL PP HH LPH LLL LPP LHH LLP PPP PHH LLH PPH HHH`.
+/// Monomials `1 L P H LP LH PH LL PP HH LPH LLL LPP LHH LLP PPP PHH LLH PPH HHH` of normalised longitude, latitude and
+/// height.
 #[inline]
 pub(crate) fn monomials([l, p, h]: [f64; 3]) -> Monomials {
     let (ll, pp, hh) = (l * l, p * p, h * h);
@@ -32,8 +33,8 @@ pub(crate) fn monomials([l, p, h]: [f64; 3]) -> Monomials {
     ]
 }
 
-/// The polynomial's value: four partial sums in a fixed order, so that lanes can run side by side and the result is
-/// the same on every machine.
+/// Value of the polynomial. Four partial sums in a fixed order can be vectorised and give the same result on every
+/// machine.
 #[inline]
 pub(crate) fn value(coefficients: &[f64; 20], m: &Monomials) -> f64 {
     let mut sums = [0.0; 4];

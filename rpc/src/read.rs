@@ -1,8 +1,8 @@
 //! Cameras from vendors' files: text and tags in, [`Rpc`] out. No files, no GDAL.
 //!
-//! Coordinates come out in one convention whatever the file's own: pixel centres at integers, the upper-left one (0,
-//! 0). Input is untrusted: nothing here panics, recurses without bound or allocates more than a few times the size of
-//! the text. Errors name the missing values.
+//! All readers return one convention: pixel centres at integers, the upper-left one (0, 0). Input is untrusted: nothing
+//! here panics, recurses without bound or allocates more than a few times the size of the text. Errors name the missing
+//! values.
 
 pub mod acquisition;
 pub mod calibration;
@@ -28,8 +28,8 @@ pub use vendor_xml::{dimap, maxar_xml};
 use crate::rpc::Rpc;
 use kind::{TextKind, kind};
 
-/// The camera in `text`, its format recognised by content; `file_name` is for the error only. A text without any
-/// decimal point is read with decimal commas.
+/// The camera in `text`, its format recognised by content; `file_name` appears in the error only. A text without any
+/// decimal point is read with decimal commas too.
 ///
 /// # Errors
 /// [`ReadError::Unrecognised`] when it is no known format, else the error of the format's own reader.
@@ -41,7 +41,8 @@ pub fn rpc_from_text(file_name: &str, text: &str) -> Result<Rpc, ReadError> {
     }
 }
 
-/// `text` with points for its decimal commas; `None` where it has decimal points too, or no comma between digits.
+/// `text` with its decimal commas replaced by points; `None` where it has decimal points too, or no comma between
+/// digits.
 fn decimal_points(text: &str) -> Option<String> {
     let is_between_digits = |at: usize| {
         let digit = |at: Option<usize>| {
@@ -79,7 +80,7 @@ fn with_points(file_name: &str, text: &str) -> Result<Rpc, ReadError> {
     }
 }
 
-/// True if a list of assignments holds a camera and not only image metadata.
+/// True if a list of assignments contains a camera, and not image metadata alone.
 fn has_rpc_assignments(text: &str) -> bool {
     ["lineOffset", "lineNumCoef", "lineNumeratorCoefficients"]
         .iter()

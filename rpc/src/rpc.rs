@@ -33,7 +33,7 @@ pub enum RpcError {
         col: f64,
         /// Requested row, pixels.
         row: f64,
-        /// Requested height, metres.
+        /// Requested height above the ellipsoid, metres.
         height_m: f64,
     },
     /// A model whose own scales contradict its polynomials.
@@ -46,12 +46,12 @@ pub enum RpcError {
         /// Ground half ranges that one image half range covers at the model's centre.
         span: f64,
     },
-    /// A model that cannot be fitted or read.
+    /// Samples, views, tracks or a window that determine no result; the text names the fault.
     #[error("{0}")]
     Invalid(String),
 }
 
-/// A rational polynomial camera, RPC00B coefficient order
+/// A rational polynomial camera with coefficients in the order of RPC00B (STDI-0002),
 /// `1 L P H LP LH PH LL PP HH LPH LLL LPP LHH LLP PPP PHH LLH PPH HHH` (L longitude, P latitude, H height).
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Rpc {
@@ -75,22 +75,22 @@ pub struct Rpc {
     pub longitude_scale_deg: f64,
     /// Half range of heights, metres.
     pub height_scale_m: f64,
-    /// Numerator of the row.
+    /// Coefficients of the row's numerator.
     pub line_numerator: [f64; 20],
-    /// Denominator of the row.
+    /// Coefficients of the row's denominator.
     pub line_denominator: [f64; 20],
-    /// Numerator of the column.
+    /// Coefficients of the column's numerator.
     pub sample_numerator: [f64; 20],
-    /// Denominator of the column.
+    /// Coefficients of the column's denominator.
     pub sample_denominator: [f64; 20],
-    /// Stated bias error, metres.
+    /// Stated bias error, metres; `None` where unknown.
     pub error_bias_m: Option<f64>,
-    /// Stated random error, metres.
+    /// Stated random error, metres; `None` where unknown.
     pub error_random_m: Option<f64>,
 }
 
 impl Rpc {
-    /// Image position of a ground point.
+    /// Image position of a ground point, pixels.
     ///
     /// Any finite point gives a result, which is valid only near the ground that the model was made for; where a
     /// denominator vanishes the result is not finite. Longitudes on the two sides of the date line are equivalent.
@@ -134,7 +134,7 @@ impl Rpc {
         (image, jacobian)
     }
 
-    /// Longitude, latitude and height in the model's half ranges from its centre, the short way round the Earth.
+    /// Longitude (the short way round the Earth), latitude and height from the model's centre, in half ranges.
     pub(crate) fn normalised(&self, point: GeoPoint) -> [f64; 3] {
         [
             wrapped_difference_deg(point.lon_deg, self.longitude_offset_deg) / self.longitude_scale_deg,
@@ -153,18 +153,18 @@ impl Rpc {
     }
 }
 
-/// `a - b` degrees of longitude, the short way round.
+/// Longitude difference `a - b`, degrees, the short way round the Earth.
 pub(crate) fn wrapped_difference_deg(a_deg: f64, b_deg: f64) -> f64 {
     let difference = a_deg - b_deg;
     if difference.abs() <= 180.0 {
-        // Untouched, so that nothing is rounded where there is nothing to wrap.
+        // Returned unchanged, because wrapping would round it.
         difference
     } else {
         difference - 360.0 * (difference / 360.0).round()
     }
 }
 
-/// The same longitude in [-180, 180] degrees.
+/// A longitude reduced to [-180, 180] degrees.
 pub(crate) fn wrapped_longitude_deg(longitude_deg: f64) -> f64 {
     wrapped_difference_deg(longitude_deg, 0.0)
 }

@@ -3,7 +3,7 @@
 //! Earth's heliocentric longitude, latitude and distance come from the leading terms of the VSOP87 theory, corrected
 //! for nutation and aberration, turned by apparent sidereal time, and seen from the place itself (parallax). Formulas:
 //! J. Meeus, *Astronomical Algorithms*, 2nd ed., chapters 12, 22, 25 and 32. Against the NREL algorithm over 1972-2100
-//! the direction is good to 0.001 degree; the largest part left is that UT1 is taken to be UTC (within 0.9 s).
+//! the direction is good to 0.001 degree; the largest remaining error is UT1 taken as UTC (within 0.9 s).
 
 mod vsop;
 
@@ -25,14 +25,14 @@ const DAYS_PER_CENTURY: f64 = 36_525.0;
 /// Direction of the sun at a place: geometric (no refraction), above the geodetic horizon.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SunPosition {
-    /// Clockwise from true north, radians.
+    /// Azimuth, clockwise from true north, radians.
     pub azimuth_rad: f64,
-    /// Above the horizon, radians.
+    /// Elevation above the horizon, radians.
     pub elevation_rad: f64,
 }
 
 impl SunPosition {
-    /// From degrees.
+    /// Position from azimuth and elevation in degrees, unchecked.
     pub fn from_degrees(azimuth_deg: f64, elevation_deg: f64) -> Self {
         Self {
             azimuth_rad: azimuth_deg.to_radians(),
@@ -40,10 +40,10 @@ impl SunPosition {
         }
     }
 
-    /// From stated degrees: an azimuth from -360 to 720, an elevation from -90 to 90.
+    /// Position from azimuth (-360 to 720) and elevation (-90 to 90) in degrees, checked.
     ///
     /// # Errors
-    /// A sentence with the fault, where they are outside of these ranges or not finite.
+    /// A message with both angles, where one is outside of its range or not finite.
     pub fn stated(azimuth_deg: f64, elevation_deg: f64) -> Result<Self, String> {
         match (-360.0..=720.0).contains(&azimuth_deg) && (-90.0..=90.0).contains(&elevation_deg) {
             true => Ok(Self::from_degrees(azimuth_deg, elevation_deg)),
@@ -53,7 +53,7 @@ impl SunPosition {
         }
     }
 
-    /// From a direction toward the sun, east-north-up, of any length but zero; azimuth in [0, 2 pi).
+    /// Position from a direction toward the sun (east, north, up; any length but zero); azimuth in [0, 2 pi).
     pub fn from_direction_enu(direction: Vector3<f64>) -> Self {
         Self {
             azimuth_rad: direction.x.atan2(direction.y).rem_euclid(TAU),
@@ -69,8 +69,8 @@ impl SunPosition {
     }
 }
 
-/// The sun at `time`, seen from `at`; meant for 1900 to 2150, where the difference of Earth rotation and uniform time
-/// is known or foreseeable.
+/// Position of the sun at `time`, seen from `at`. Valid for 1900 to 2150, the years for which the difference between
+/// terrestrial and universal time is known or predicted.
 pub fn sun_position(time: jiff::Timestamp, at: GeoPoint) -> SunPosition {
     let (days_ut, days_tt) = days_since_j2000(time);
     let toward_sun_ecef_m = sun_ecef_m(days_ut, days_tt) - ecef_from_geo(at);
@@ -78,7 +78,7 @@ pub fn sun_position(time: jiff::Timestamp, at: GeoPoint) -> SunPosition {
     SunPosition::from_direction_enu(direction)
 }
 
-/// Days since J2000.0, universal and terrestrial time.
+/// Days since J2000.0 in universal and in terrestrial time.
 fn days_since_j2000(time: jiff::Timestamp) -> (f64, f64) {
     let seconds = time.as_second() as f64 + f64::from(time.subsec_nanosecond()) * 1e-9;
     let days_ut = seconds / SECONDS_PER_DAY + (UNIX_EPOCH_JULIAN_DAY - J2000_JULIAN_DAY);
@@ -144,7 +144,7 @@ struct Nutation {
 }
 
 impl Nutation {
-    /// The terms of Meeus' table 22.A above 0.02 arc seconds.
+    /// The terms of Meeus' table 22.A above 0.01 arc seconds of longitude.
     fn at(centuries: f64) -> Self {
         let t = centuries;
         let elongation = (297.850_36 + 445_267.111_480 * t).to_radians();

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 /// A triangulated point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Triangulation {
-    /// Its position.
+    /// Ground point.
     pub point: GeoPoint,
     /// Root mean square over the views of the residual's length, pixels.
     pub rms_px: f64,
@@ -17,12 +17,14 @@ pub struct Triangulation {
 /// Heights tried for a start, in the first camera's half ranges from its centre.
 const START_HEIGHTS: [f64; 5] = [0.0, -0.5, 0.5, -1.0, 1.0];
 const MAX_ITERATIONS: usize = 50;
-/// A step shorter than this is the end.
+/// Length of a step that ends the iteration, metres.
 const LAST_STEP_M: f64 = 1e-7;
-/// Smallest over largest curvature of the residuals: below it, height is worth less than 1e-5 of position.
+/// Least ratio of the smallest to the largest curvature of the residuals: below it, the weakest direction is less than
+/// 1e-5 times as precise as the strongest.
 const LEAST_CURVATURE_RATIO: f64 = 1e-10;
 
-/// The ground point with the least squared pixel residuals, by Gauss-Newton with damping in a local frame.
+/// The ground point with the least squared pixel residuals, by Gauss-Newton with damping in a local frame. Each view is
+/// a camera and the measured position, pixels.
 ///
 /// # Errors
 /// [`RpcError::Invalid`] with fewer than two views, or with views so nearly parallel that height is undetermined; the
@@ -68,7 +70,7 @@ pub fn triangulate(views: &[(&Rpc, ImagePoint)]) -> Result<Triangulation, RpcErr
     Err(failure())
 }
 
-/// Among heights of the first camera's range, the point of its ray that the other views see best.
+/// Point on the first camera's ray, at one of the start heights, with the least squared residuals in all views.
 fn best_start(views: &[(&Rpc, ImagePoint)]) -> Result<GeoPoint, RpcError> {
     let (first, seen) = views[0];
     let mut failure = None;

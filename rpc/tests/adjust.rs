@@ -13,7 +13,7 @@ use nalgebra::{Vector2, Vector3};
 
 const SIZE: usize = 1200;
 
-/// Numbers in [-1, 1) that are the same each time.
+/// Reproducible numbers in [-1, 1).
 struct Numbers(u64);
 
 impl Numbers {
@@ -25,7 +25,7 @@ impl Numbers {
         (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
 
-    /// About normal: the sum of twelve.
+    /// Approximately normal number: the sum of twelve.
     fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.next()).sum::<f64>() * 0.5
     }
@@ -164,7 +164,7 @@ fn an_adjustment_that_was_cut_short_has_not_converged() {
     assert!(!found.converged && found.rounds == 5);
 }
 
-/// Few ties with noise let robust weights creep for many rounds, each below what the ties determine.
+/// With few noisy ties, robust weights change for many rounds, by steps below the precision of the ties.
 #[test]
 fn corrections_that_creep_within_their_noise_have_converged() {
     let cameras = cameras(4);
@@ -190,12 +190,12 @@ fn corrections_that_creep_within_their_noise_have_converged() {
                 unsettled += 1;
                 continue;
             }
-            // It ended with its last round, which a solve that had stopped would not need.
+            // A solve that uses all of its rounds still moves by small steps.
             creeping += usize::from(found.rounds == most_rounds);
             let apart = found.corrections.iter().zip(&last.corrections);
             let apart_px = apart.flat_map(|(a, b)| (0..2).map(|axis| (a.shift_px[axis] - b.shift_px[axis]).abs()));
             let largest_px = apart_px.fold(0.0, f64::max);
-            // The standard deviation of one tie: robust weights leave a few of twelve.
+            // The bound is the standard deviation of one tie, because robust weights leave a few of twelve ties.
             assert!(largest_px < last.sigma_px, "{seed}, {most_rounds}: {largest_px} px");
         }
     }

@@ -1,4 +1,4 @@
-//! Depth–normal consistency: the normals of the splats agree with the normals of the depth they make.
+//! Depth–normal consistency: a loss that aligns the normals of the splats with those of the composited depth.
 
 use crate::camera::ProjectiveCamera;
 use crate::splat::{MapGradients, Maps};
@@ -28,12 +28,12 @@ impl Unprojection<'_> {
     }
 }
 
-/// Mean of `1 - N·Ñ` over the pixels whose four neighbours are seen; `N` from channels `normal_at..normal_at + 3`, `Ñ`
-/// from central differences of the expected depth. Adds `weight` times the gradient to `grads`.
+/// Depth–normal loss: mean of `1 - N·Ñ` over the pixels whose four neighbours are seen, `N` from channels
+/// `normal_at..normal_at + 3`, `Ñ` from central differences of the expected depth. Adds `weight` times the gradient to
+/// `grads`; returns the mean without `weight`, zero when no such pixel exists.
 ///
 /// A pixel whose neighbours' depths differ by much more than `edge_m` metres is on an edge, where the difference is a
-/// wall and not a slope. Its weight is reduced by the factor `exp(-(range / edge_m)²)`, and the weight carries no
-/// gradient.
+/// wall and not a slope. The factor `exp(-(range / edge_m)²)` reduces its share of the mean, and carries no gradient.
 pub fn depth_normal(
     camera: &ProjectiveCamera,
     maps: &Maps,
@@ -120,7 +120,7 @@ struct PixelGradient {
     loss: f32,
     weight: f32,
     normal: Vec3,
-    /// To the expected depths left, right, above and below.
+    /// Gradients to the expected depths left, right, above and below.
     depths: [f32; 4],
 }
 

@@ -168,8 +168,8 @@ fn ssim_plane(x: &[f32], y: &[f32], width: usize, weight: &[f32]) -> (f64, Vec<f
 
 /// The loss between a rendered and a true image, and its gradient to the rendered one.
 ///
-/// `weight` is per pixel; a pixel of weight zero, or one whose truth is missing in a band, is ignored there. The value
-/// is a mean over the weighted pixels and bands.
+/// `weight` is per pixel, 0 to 1; a pixel of weight zero is ignored, and one whose truth is missing in a band is
+/// ignored in that band. The value is a mean over the weighted pixels and bands.
 pub fn photometric(image: &Raster, truth: &Raster, weight: &[f32], lambda_ssim: f32) -> (f64, Raster) {
     let mut gradient = Raster::filled(image.width, image.height, image.bands, 0.0);
     let plane = image.plane_len().max(1);

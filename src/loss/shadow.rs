@@ -6,11 +6,11 @@ use crate::light::Light;
 use crate::splat::{MapGradients, Projected, ProjectionOptions, Rasteriser, project::project_backward};
 use crate::trace::{OccluderGradients, Occluders, transmittance};
 
-/// Visibilities outside `[CLAMP, 1 - CLAMP]` have no gradient.
+/// Visibilities are clamped to `[CLAMP, 1 - CLAMP]` in the cross entropy, so that it and its gradient are bounded.
 const CLAMP: f32 = 0.02;
 
-/// Mean binary cross entropy (nats) between a visibility map and a prior `lit` from 0 to 1, NaN where there is none.
-/// Adds `weight` times its gradient to `d_visibility`.
+/// Mean binary cross entropy (nats) between a visibility map and a prior `lit` from 0 to 1, NaN where unknown, over the
+/// pixels where `mask` is positive. Adds `weight` times its gradient to `d_visibility`.
 ///
 /// The shadow prior of ShadowGS (Luo et al. 2026, eq. 17, whose arguments are printed the other way round). It helps
 /// only with few views: with many, the images determine shadows better than their darkness does.
@@ -30,25 +30,25 @@ pub fn prior(visibility: &[f32], lit: &[f32], mask: &[f32], weight: f32, d_visib
     total / f64::from(count)
 }
 
-/// Settings of a pass of [`consistency`].
+/// Inputs and settings of [`consistency`].
 pub struct ConsistencyPass<'a> {
-    /// The view.
+    /// Camera of the view.
     pub camera: &'a ProjectiveCamera,
-    /// Projection of Gaussians to splats.
+    /// Options of the projection of Gaussians to splats.
     pub projection: &'a ProjectionOptions,
     /// Gradients of light that reach the occluders.
     pub occluder_gradients: OccluderGradients,
-    /// The occluders.
+    /// Occluders of the light.
     pub occluders: &'a Occluders,
     /// Weight of the loss.
     pub weight: f32,
 }
 
-/// Mean of `alpha - Σ w S` with the light moved onto the view: a light at the camera reaches everything that the camera
-/// sees. Adds `weight` times its gradient to `out`. ShadowGS (eq. 16) has `1 - Σ w S`, which also rewards opacity; that
-/// part costs as much as the other gains (docs/lab/shadows.md).
+/// Mean of `alpha - Σ w S` over the pixels, with the light moved onto the view: a light at the camera reaches
+/// everything that the camera sees. Adds `weight` times its gradient to `out`. ShadowGS (eq. 16) has `1 - Σ w S`, which
+/// also rewards opacity; raising opacity loses the gain of the other half (docs/lab/shadows.md).
 ///
-/// With a nadir camera this is the paper's second form, light and view both at the zenith.
+/// With a nadir camera this is the paper's second form, with light and view at the zenith.
 pub fn consistency(gaussians: &Table, projected: &Projected, pass: &ConsistencyPass, out: &mut Table) -> f64 {
     let light = Light::Directional(-pass.camera.depth_axis);
     let traced = transmittance(pass.occluders, &projected.gaussian, &light);
@@ -158,7 +158,7 @@ mod tests {
         let (visibility, lit) = ([0.3f32, 0.7, 0.5, 0.2], [1.0, 0.0, f32::NAN, 0.2]);
         let mut d = [0.0; 4];
         let value = prior(&visibility, &lit, &[1.0; 4], 1.0, &mut d);
-        // Nats: 0.3 thought lit, 0.7 thought dark, 0.2 thought 0.2.
+        // Nats: visibility 0.3 with prior 1, 0.7 with prior 0, 0.2 with prior 0.2.
         let expected = -(2.0 * 0.3f64.ln() + 0.2 * 0.2f64.ln() + 0.8 * 0.8f64.ln()) / 3.0;
         assert!((value - expected).abs() < 1e-6, "{value} for {expected}");
         assert!(d[0] < 0.0 && d[1] > 0.0 && d[2] == 0.0 && d[3].abs() < 1e-6);

@@ -89,7 +89,7 @@ impl Neighbours {
         self.starts.len().saturating_sub(1)
     }
 
-    /// True if every number is in its range; tested after reading a checkpoint.
+    /// True if all starts ascend and all neighbours exist; checked after a checkpoint is read.
     pub fn is_whole(&self) -> bool {
         let count = self.count() as u32;
         self.starts.first().is_none_or(|first| *first == 0)
@@ -109,8 +109,9 @@ impl Neighbours {
 /// V = 1 / (pixels width) Σ_{pairs (i, j)} Σ_k (sqrt((f_ik - f_jk)² + ε²) - ε)        ε = 0.02
 /// ```
 ///
-/// As a mean over `pixels` it is on the scale of the photometric loss. Adds `weight` times its gradient to `gradient`,
-/// which has the length of `values`; `neighbours` has an entry for every Gaussian.
+/// Division by `pixels` puts it on the scale of the photometric loss, a mean over pixels. Adds `weight` times its
+/// gradient to `gradient`, which has the length of `values`; `neighbours` has an entry for every Gaussian. Returns `V`
+/// without `weight`.
 pub fn total_variation(
     neighbours: &Neighbours,
     (values, width): (&[f32], usize),

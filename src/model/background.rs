@@ -13,7 +13,7 @@ use crate::splat::{MapGradients, Maps};
 /// Colour channels of a pixel.
 pub(super) const COLOURS: usize = 3;
 
-/// The colour behind everything, and whether images have coverage as a fourth band.
+/// Colour behind everything, and a flag: true if images have coverage as a fourth band.
 pub type Background = ([f32; 3], bool);
 
 /// `Σ w c + (1 - Σ w) background` per pixel, and with coverage a fourth band `Σ w`.

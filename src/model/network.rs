@@ -19,17 +19,17 @@ const BLOCK: usize = 256;
 /// Slope of the rectifier below zero: small, but a unit that is always off still gets a gradient.
 const NEGATIVE_SLOPE: f32 = 0.01;
 
-/// Widths of a network.
+/// Shape of a network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Network {
-    /// Numbers in.
+    /// Inputs per row.
     pub inputs: usize,
     /// Units of a hidden layer.
     pub width: usize,
-    /// Hidden layers, at least one.
+    /// Number of hidden layers, at least one.
     pub hidden: usize,
-    /// Numbers out.
+    /// Outputs per row.
     pub outputs: usize,
 }
 
@@ -38,7 +38,7 @@ pub struct Network {
 struct Layer {
     inputs: usize,
     outputs: usize,
-    /// Start of its weights among all.
+    /// Start of the layer's weights among those of the network.
     from: usize,
     /// True if the network's inputs are concatenated to the previous layer's outputs.
     joined: bool,
@@ -99,7 +99,7 @@ vectorised! {
     }
 }
 
-/// Columns of a matrix in memory.
+/// Columns of a matrix in memory, a multiple of a tile's.
 fn padded(cols: usize) -> usize {
     cols.next_multiple_of(TILE)
 }
@@ -119,7 +119,7 @@ pub struct ForwardPass {
     prepared: Prepared,
     blocks: Vec<LayerInputs>,
     rows: usize,
-    /// `[row][output]`.
+    /// Outputs, `[row][output]`.
     pub outputs: Vec<f32>,
 }
 
@@ -150,7 +150,7 @@ impl Network {
         layers
     }
 
-    /// Numbers that are trained.
+    /// Number of trained weights, biases included.
     pub fn weights(&self) -> usize {
         self.layers().iter().map(|l| (l.inputs + 1) * l.outputs).sum()
     }
@@ -196,7 +196,7 @@ impl Network {
         }
     }
 
-    /// Rows of `inputs` through all layers.
+    /// Runs rows of `inputs` through all layers.
     fn forward_block(&self, prepared: &Prepared, inputs: &[f32]) -> LayerInputs {
         let rows = inputs.len() / self.inputs;
         let (mut activations, mut last): (Vec<Vec<f32>>, Vec<f32>) = (Vec::new(), Vec::new());
@@ -235,7 +235,7 @@ impl Network {
         }
     }
 
-    /// `[row][output]` from `[row][input]`.
+    /// Outputs, `[row][output]`, of `inputs`, `[row][input]`.
     pub fn forward(&self, weights: &[f32], inputs: &[f32]) -> Vec<f32> {
         let prepared = self.prepare(weights);
         let wide = padded(self.outputs);
@@ -251,7 +251,7 @@ impl Network {
         out
     }
 
-    /// Outputs for rows of inputs, with the activations that the backward pass needs.
+    /// Outputs for `inputs`, `[row][input]`, with the activations that the backward pass needs.
     pub fn forward_kept(&self, weights: &[f32], inputs: &[f32]) -> ForwardPass {
         let prepared = self.prepare(weights);
         let blocks: Vec<LayerInputs> = inputs
@@ -269,7 +269,7 @@ impl Network {
         }
     }
 
-    /// Gradients of the inputs and of the weights, from those of the outputs.
+    /// Gradients of the inputs, `[row][input]`, and of the weights, from those of the outputs, `[row][output]`.
     pub fn backward(&self, weights: &[f32], inputs: &[f32], d_outputs: &[f32]) -> (Vec<f32>, Vec<f32>) {
         self.forward_kept(weights, inputs).backward(d_outputs)
     }
@@ -347,7 +347,7 @@ impl Network {
 }
 
 impl ForwardPass {
-    /// Gradients of the inputs and of the weights, from those of the outputs.
+    /// Gradients of the inputs, `[row][input]`, and of the weights, from those of the outputs, `[row][output]`.
     pub fn backward(&self, d_outputs: &[f32]) -> (Vec<f32>, Vec<f32>) {
         let network = &self.network;
         let mut d_inputs = vec![0.0; self.rows * network.inputs];
@@ -378,7 +378,7 @@ mod tests {
         outputs: 2,
     };
 
-    /// The same in f64, one sum after another.
+    /// The network in f64, one sum after another.
     fn plain(shape: &Network, weights: &[f64], inputs: &[f64]) -> Vec<f64> {
         let mut last: Vec<f64> = Vec::new();
         for (n, layer) in shape.layers().iter().enumerate() {

@@ -6,7 +6,7 @@
 //! ```text
 //! C = ((c_d f_d + c_s f_s) S + c_v f_v) · D² / (d² + r²)
 //! f_d = cosE(n·ω_i) / π                    cosE(c) = (ELU(c) + t) / (1 + t): a cosine with a gradient on the dark side
-//! f_s = Σ_j a_j G_j(h) · F(ω_i·h) / (ω_i·h)² · cosE(n·ω_i)        eight shared lobes, Schlick's F with an F0 per Gaussian
+//! f_s = Σ_j a_j G_j(h) · F(ω_i·h) / (ω_i·h)² · cosE(n·ω_i)        eight shared lobes, Schlick's F, F0 per Gaussian
 //! f_v = R(r; σ_s', σ_a)        subsurface scattering: a dipole whose three numbers a network predicts
 //! ```
 //!
@@ -41,9 +41,9 @@ use rayon::prelude::*;
 use std::f32::consts::PI;
 use surface::{LightGeometry, Lobes, OlatSurface, SurfaceGradient};
 
-/// Orientations of the lobes' long axes at the start, evenly over half a circle. A Gaussian whose frame lies across the
-/// grain would have to turn through worse fits and gets stuck; with several orientations it finds one nearby by weight
-/// alone (docs/lab/objects.md).
+/// Number of initial orientations of the lobes' long axes, spread evenly over half a circle. With a single one, a
+/// Gaussian whose frame lies across the grain would have to turn through worse fits, and gets stuck; with several, the
+/// lobes' weights alone reach a near one (docs/lab/objects.md).
 const ORIENTATIONS: usize = 4;
 /// Index of the group of diffuse colours, before the softplus.
 pub const DIFFUSE: usize = FEATURES;
@@ -64,10 +64,10 @@ const DIELECTRIC_F0: f32 = 0.04;
 /// Initial specular colour, nearly zero.
 const INITIAL_SPECULAR: f32 = 0.02;
 
-/// The model.
+/// The model of one light at a time.
 #[derive(Debug, Clone)]
 pub struct Olat {
-    /// Its options.
+    /// Options of the model.
     pub options: OlatOptions,
 }
 
@@ -87,8 +87,8 @@ impl Olat {
         self.options.feature_index(Feature::Scattered)
     }
 
-    /// Shared parameters at the start: lobes around the normal, from narrow to wide and turned in turns; networks with
-    /// little effect.
+    /// Shared parameters at the start: lobes around the normal, from narrow to wide, cycling through the orientations;
+    /// networks with little effect.
     pub fn initial_globals(&self) -> Table {
         let mut table = Table::zeros(self.global_groups(), 1);
         if let Some(group) = self.options.shared_index(Shared::ScatteringNetwork) {
@@ -104,14 +104,15 @@ impl Olat {
                 let half_turn = 0.5 * PI * (j % ORIENTATIONS) as f32 / ORIENTATIONS as f32;
                 table.group_mut(LOBE_FRAME)[j * 4 + 2] = half_turn.sin();
                 table.group_mut(LOBE_FRAME)[j * 4 + 3] = half_turn.cos();
-                // Widths of 2.5 and 1 of ten (GS³).
+                // Relative widths of 2.5 and 1, where the largest is ten (GS³).
                 table.group_mut(LOBE_SCALE)[j * 2..j * 2 + 2].copy_from_slice(&[-1.098_61, -2.197_2]);
             }
         }
         table
     }
 
-    /// Sets the initial diffuse colour and frame of Gaussian `g`.
+    /// Sets the initial diffuse colour (red, green, blue) and frame (quaternion `x, y, z, w`) of Gaussian `g`,
+    /// and the initial values of its other groups.
     pub fn paint(&self, gaussians: &mut Table, g: usize, colour: [f32; 3], frame: [f32; 4]) {
         for (k, value) in colour.into_iter().enumerate() {
             gaussians.group_mut(DIFFUSE)[g * COLOURS + k] = softplus_inverse(value.max(1e-3));
@@ -170,7 +171,7 @@ impl Olat {
     }
 }
 
-/// The normal of the surface of Gaussian `g`.
+/// Unit normal of the surface of Gaussian `g`.
 fn normal(gaussians: &Table, g: usize) -> Vec3 {
     let q = &gaussians.group(FRAME)[g * 4..g * 4 + 4];
     normalised([q[0], q[1], q[2], q[3]]) * Vec3::Z
@@ -210,7 +211,7 @@ impl SceneModel for Olat {
                 if self.shows_normals() {
                     feature[COLOURS..2 * COLOURS].copy_from_slice(&normal(gaussians, g).to_array());
                 }
-                // Without a light it is dark.
+                // Without a light a Gaussian is dark.
                 let Some(geometry) = self.light_geometry(context, g) else {
                     return;
                 };
@@ -268,7 +269,7 @@ impl SceneModel for Olat {
         let add = |slots: &mut [f32], values: &[f32]| slots.iter_mut().zip(values).for_each(|(s, v)| *s += v);
         table.add_to_group(POSITION, indices, |s, slots| add(slots, &parts[s].position.to_array()));
         table.add_to_group(FRAME, indices, |s, slots| add(slots, &parts[s].frame));
-        // Of a softplus: the sigmoid of its argument.
+        // The slope of the softplus is the sigmoid of its argument.
         let mut through = |group: usize, values: &(dyn Fn(usize) -> [f32; LOBES] + Sync)| {
             let width = gaussians.groups[group].spec.width;
             table.add_to_group(group, indices, |s, slots| {

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 /// Learning rate of the constant function.
 const RATE: f32 = 5e-3;
 
-/// Options of the model.
+/// Options of the radiance model.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RadianceOptions {
@@ -44,10 +44,10 @@ impl Default for RadianceOptions {
     }
 }
 
-/// The model.
+/// The model of plain radiance.
 #[derive(Debug, Clone)]
 pub struct Radiance {
-    /// Its options.
+    /// Options of the model.
     pub options: RadianceOptions,
 }
 
@@ -73,7 +73,7 @@ impl Radiance {
         all
     }
 
-    /// Sets the colour of Gaussian `g`, the same from everywhere.
+    /// Sets the colour of Gaussian `g` (red, green, blue), equal in all viewing directions.
     pub fn paint(gaussians: &mut Table, g: usize, colour: [f32; 3]) {
         for (k, value) in colour.into_iter().enumerate() {
             gaussians.group_mut(FEATURES)[g * COLOURS + k] = (value - 0.5) / sh::C0;

@@ -50,7 +50,7 @@ pub const LIGHT: usize = FEATURES + 4;
 pub const ENVIRONMENT: usize = 0;
 /// Index of the shared group of the decoder's weights, where the model is glossy.
 pub const DECODER: usize = 1;
-/// The narrowest lobe.
+/// Smallest width of a lobe, GGX's α.
 const WIDTH_MIN: f32 = 0.03;
 /// Weight of the specular term below which the decoder is not evaluated.
 const GLOSS_MIN: f32 = 0.02;
@@ -61,7 +61,7 @@ const SHARED_RATE_AT_END: f32 = 0.1;
 /// Initial scale of the decoder's last layer, relative to its others: it starts with little effect.
 const NETWORK_OUTPUT_SCALE: f32 = 0.1;
 
-/// Options of the model.
+/// Options of the reflective model.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReflectiveOptions {
@@ -69,17 +69,17 @@ pub struct ReflectiveOptions {
     pub specular: bool,
     /// Largest degree of the harmonics of light, 0 to 3.
     pub degree: usize,
-    /// Units of the decoder's hidden layers.
+    /// Number of units in each of the decoder's hidden layers.
     pub width: usize,
-    /// The decoder's hidden layers.
+    /// Number of the decoder's hidden layers.
     pub hidden: usize,
-    /// Half of the side of the cube that positions lie in.
+    /// Half the side of the cube that contains the positions, scene units.
     pub half_size: f32,
-    /// Weight of the agreement of the frames' normals with those of the depth.
+    /// Weight of the depth–normal loss on the frames' normals; 0 is off.
     pub normal_weight: f32,
-    /// Depth range, in units of length, beyond which neighbouring pixels are an edge for that.
+    /// Range of depths, scene units, beyond which neighbouring pixels are an edge, not a slope.
     pub normal_edge: f32,
-    /// True if images hold display values.
+    /// True if images hold display values (sRGB), false if linear light.
     pub display: bool,
     /// Colour behind everything.
     pub background: [f32; 3],
@@ -87,7 +87,7 @@ pub struct ReflectiveOptions {
     pub coverage: bool,
     /// The rendered component.
     pub shows: Component,
-    /// True if the view's light, of strength one, replaces the environment; for relighting only, there are no
+    /// True if the view's light, of strength one, replaces the environment. For relighting only: there are no
     /// gradients.
     pub lit: bool,
 }
@@ -111,18 +111,18 @@ impl Default for ReflectiveOptions {
     }
 }
 
-/// The model.
+/// The reflective model.
 #[derive(Debug, Clone)]
 pub struct Reflective {
-    /// Its options.
+    /// Options of the model.
     pub options: ReflectiveOptions,
 }
 
-/// The surfaces of a view, how its camera sees them, and the decoder's inputs of those that are glossy.
+/// The surfaces of a view, their viewing geometry, and the decoder's inputs of the glossy ones.
 struct PreparedView {
     surfaces: Vec<ReflectiveSurface>,
     views: Vec<ViewGeometry>,
-    /// Per splat its row among the decoder's inputs; `None` where it is not glossy.
+    /// Row of each splat among the decoder's inputs; `None` where it is not glossy.
     rows: Vec<Option<usize>>,
     inputs: Vec<f32>,
 }
@@ -141,7 +141,7 @@ impl Reflective {
         }
     }
 
-    /// The decoder's shape.
+    /// Shape of the decoder.
     pub fn network(&self) -> Network {
         Network {
             inputs: INPUTS,
@@ -162,7 +162,7 @@ impl Reflective {
         table
     }
 
-    /// Sets the initial colour (as in the images) and frame of Gaussian `g`.
+    /// Sets the initial colour (in the units of the images) and frame (quaternion `x, y, z, w`) of Gaussian `g`.
     pub fn paint(&self, gaussians: &mut Table, g: usize, colour: [f32; 3], frame: [f32; 4]) {
         for (k, value) in colour.into_iter().enumerate() {
             let light = if self.options.display {
@@ -240,7 +240,7 @@ impl Reflective {
         }
     }
 
-    /// Normals of the frames, facing the eye, one for each splat.
+    /// Unit normals of the frames, facing the eye, one per splat.
     pub fn normals(&self, context: &Context, seen: &Seen) -> Vec<Vec3> {
         let prepared = self.prepare(context, seen);
         prepared.views.iter().map(ViewGeometry::normal).collect()
@@ -263,7 +263,7 @@ impl SceneModel for Reflective {
 
     fn feature_parameters(&self) -> Vec<ParameterGroup> {
         let constant = LearningRate::constant;
-        // A matte model has no use for them.
+        // A matte model does not train the specular groups.
         let glossy = |rate: f32| {
             if self.options.specular {
                 constant(rate)

@@ -44,19 +44,20 @@ use rayon::prelude::*;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default)]
 pub struct ShadowGsOptions {
-    /// Image bands.
+    /// Number of image bands.
     pub bands: usize,
-    /// Images, each with its own sky and colour.
+    /// Number of images, each with its own sky and colour.
     pub images: usize,
-    /// The image whose colour is the model's.
+    /// Index of the reference image, whose colour is the model's.
     pub reference: usize,
-    /// Per-image affine colour.
+    /// True if each image has an affine colour transform.
     pub image_colour: bool,
-    /// Near-surface light in shadows, per Gaussian.
+    /// True if Gaussians have near-surface light in shadows.
     pub near_light: bool,
-    /// Weight of the shadow prior, for views that bring one.
+    /// Weight of the shadow prior, for views that have one; 0 is off.
     pub prior_weight: f32,
-    /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; 0: the same from everywhere.
+    /// Largest degree of the spherical harmonics of albedo and near-surface light, 0 to 3; with 0 they do not depend on
+    /// the viewing direction.
     pub degree: usize,
     /// The day of each image, days since 1970, where some Gaussians exist on some days only; else empty. Each Gaussian
     /// then has the first day of its existence and the first day after it, which are not trained.
@@ -82,7 +83,7 @@ impl Default for ShadowGsOptions {
     }
 }
 
-/// The satellite model.
+/// The satellite model, ShadowGS with per-image colour.
 #[derive(Debug, Clone)]
 pub struct ShadowGs {
     /// Components and settings.
@@ -92,21 +93,21 @@ pub struct ShadowGs {
 /// Index of the albedo group in the Gaussian table.
 pub const ALBEDO: usize = FEATURES;
 const NEAR: usize = FEATURES + 1;
-/// Index of the sky group in the global table.
+/// Index of the sky group in the global table, `[image][band]`, before the softplus.
 pub const SKY: usize = 0;
-/// Index of the colour matrices in the global table.
+/// Index of the colour matrices in the global table, `[image][row][column]`.
 pub const COLOUR: usize = 1;
-/// Index of the colour offsets in the global table.
+/// Index of the colour offsets in the global table, `[image][band]`.
 pub const OFFSET: usize = 2;
 /// Index of the path radiance in the global table, where images have no colours.
 const PATH_RADIANCE: usize = 1;
 
 /// Name of the group of days on which a Gaussian exists: from the first until before the second, days since 1970.
 pub const DAYS: &str = "days";
-/// The days of a permanent Gaussian.
+/// Days of a permanent Gaussian, days since 1970.
 pub const ALWAYS: [f32; 2] = [-1e6, 1e6];
 
-/// Gaussians that exist on a day (days since 1970); `None` where they have no days.
+/// Flag per Gaussian, true if it exists on `day` (days since 1970); `None` if the Gaussians have no days.
 pub fn standing(gaussians: &crate::gaussians::Table, day: f32) -> Option<Vec<bool>> {
     let days = gaussians.groups.iter().find(|group| group.spec.name == DAYS)?;
     let stands = |window: &[f32]| (window[0]..window[1]).contains(&day);
@@ -126,7 +127,7 @@ pub fn softplus(x: f32) -> f32 {
     x.max(0.0) + (-x.abs()).exp().ln_1p()
 }
 
-/// The `x` whose softplus is `y > 0`.
+/// Inverse of [`softplus`] for `y > 0`: `ln(e^y - 1)`.
 #[inline]
 pub fn softplus_inverse(y: f32) -> f32 {
     y + (-(-y).exp_m1()).ln()
@@ -141,7 +142,7 @@ impl ShadowGs {
         }
     }
 
-    /// Share of the sun that reaches each pixel, 0 to 1; NaN where there is no surface.
+    /// Share of the sun that reaches the surface of each pixel, 0 to 1; NaN where alpha is at most one half.
     pub fn sunlit(&self, maps: &Maps) -> Vec<f32> {
         let pixels = self.visibility(maps).iter().zip(&maps.alpha);
         pixels
@@ -152,12 +153,12 @@ impl ShadowGs {
             .collect()
     }
 
-    /// The composited visibility of the sun, `S`, pixel by pixel.
+    /// The composited visibility of the sun, `Σ w S`, per pixel; divide by alpha for the surface's own.
     pub fn visibility<'m>(&self, maps: &'m Maps) -> &'m [f32] {
         &maps.channels[self.visibility_channel()]
     }
 
-    /// The image of `maps` as if this share of the sun, 0 to 1, reached every surface.
+    /// The image composed of `maps` as if the share `visibility` of the sun, 0 to 1, reached every surface.
     pub fn compose_in(&self, visibility: f32, context: &Context, maps: &Maps) -> Raster {
         let mut maps = maps.clone();
         let Maps { channels, alpha, .. } = &mut maps;
@@ -166,12 +167,12 @@ impl ShadowGs {
         self.compose(context, &maps)
     }
 
-    /// Channel of the visibility.
+    /// Index of the visibility's channel.
     pub fn visibility_channel(&self) -> usize {
         self.options.bands
     }
 
-    /// Global parameters at the start: a sky of `sky` everywhere, identity colours.
+    /// Global parameters at the start: a sky of `sky` in every image and band, identity colours.
     pub fn initial_globals(&self, sky: f32) -> crate::gaussians::Table {
         let mut table = crate::gaussians::Table::zeros(self.global_groups(), 1);
         table.group_mut(SKY).fill(softplus_inverse(sky));
@@ -190,7 +191,7 @@ impl ShadowGs {
         context.appearance.unwrap_or(self.options.reference)
     }
 
-    /// Sky colour of an image.
+    /// Sky colour of an image, one value per band.
     pub fn sky(&self, parameters: &Parameters, image: usize) -> Vec<f32> {
         let bands = self.options.bands;
         parameters.globals.group(SKY)[image * bands..(image + 1) * bands]
@@ -199,8 +200,8 @@ impl ShadowGs {
             .collect()
     }
 
-    /// Colour matrix (row by row) and offset of an image. Without colours that is the identity and the path radiance of
-    /// all.
+    /// Colour matrix (row by row) and offset of an image. If images have no colours, these are the identity and the
+    /// path radiance of all images.
     pub fn colour(&self, parameters: &Parameters, image: usize) -> (Vec<f32>, Vec<f32>) {
         let bands = self.options.bands;
         if !self.options.image_colour {

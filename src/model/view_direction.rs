@@ -5,7 +5,7 @@ use crate::camera::ProjectiveCamera;
 use crate::optim::LearningRate;
 use glam::Vec3;
 
-/// Degrees above the constant learn this much slower (Kerbl et al. 2023).
+/// Factor on the learning rate of degrees above 0 (Kerbl et al. 2023).
 const HIGHER: f32 = 0.05;
 /// Share of training after which the next degree joins.
 const DEGREE_SHARE: f32 = 0.1;

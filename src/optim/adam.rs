@@ -3,7 +3,7 @@
 use crate::gaussians::Table;
 use rayon::prelude::*;
 
-/// Default decay of the first moment per step.
+/// Default decay of the first moment per step (Kingma and Ba 2015).
 pub const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
@@ -11,11 +11,11 @@ const EPSILON: f32 = 1e-15;
 /// First and second moments of one table.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Adam {
-    /// Mean of the gradients.
+    /// Decaying mean of the gradients.
     pub first: Table,
-    /// Mean of their squares.
+    /// Decaying mean of the squared gradients.
     pub second: Table,
-    /// Steps taken.
+    /// Number of steps taken.
     pub steps: u32,
 }
 
@@ -34,12 +34,13 @@ impl Adam {
         self.first.is_finite() && self.second.is_finite()
     }
 
-    /// One step down `gradients`; `rates[group]` is each group's learning rate (a group of rate zero does not change).
+    /// Takes one step down `gradients`; `rates[group]` is each group's learning rate (a group of rate zero does not
+    /// change).
     pub fn step(&mut self, parameters: &mut Table, gradients: &Table, rates: &[f32]) {
         self.step_with(BETA1, parameters, gradients, rates);
     }
 
-    /// One step with `beta1`, 0 to 1, as the decay of the first moment.
+    /// Takes one step with `beta1`, 0 to 1, as the decay of the first moment.
     pub fn step_with(&mut self, beta1: f32, parameters: &mut Table, gradients: &Table, rates: &[f32]) {
         self.steps += 1;
         let correction1 = 1.0 - beta1.powi(self.steps as i32);

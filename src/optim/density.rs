@@ -30,20 +30,21 @@ pub struct DensityOptions {
     pub every: usize,
     /// At most this many Gaussians: 20,000 in `fast` of objects, 150,000 in `accurate`; `--memory` may lower it.
     pub cap: usize,
-    /// First step.
+    /// First step with density control.
     #[serde(skip)]
     pub from: usize,
     /// Fraction of the Gaussians that may be added at a time, largest gradients first.
     #[serde(skip)]
     pub growth: f32,
-    /// Mean 2-D positional gradient below which nothing grows; per pixel, of a loss that is a mean over pixels times
-    /// the pixels.
+    /// Mean 2-D positional gradient below which a Gaussian is neither split nor cloned, in loss per pixel; the loss is
+    /// summed over pixels.
     #[serde(skip)]
     pub gradient_threshold: f32,
-    /// Larger than this many ground sampling distances: split instead of cloned.
+    /// Largest standard deviation, ground sampling distances, above which a growing Gaussian is split instead of
+    /// cloned.
     #[serde(skip)]
     pub split_gsd: f32,
-    /// Larger than this many ground sampling distances: pruned.
+    /// Largest standard deviation, ground sampling distances, from which on a Gaussian is pruned.
     #[serde(skip)]
     pub prune_gsd: f32,
 }
@@ -62,23 +63,23 @@ impl Default for DensityOptions {
     }
 }
 
-/// Gradients of each Gaussian since the table was last rebuilt.
+/// Gradients of each Gaussian, collected since the table was last rebuilt.
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DensityStatistics {
     /// Sum of the lengths of the 2-D positional gradients, per pixel.
     gradient: Vec<f32>,
-    /// Views that saw it.
+    /// Number of views that saw each Gaussian.
     seen: Vec<u32>,
 }
 
-/// Rebuild of a table.
+/// Relation of a rebuilt table to the old one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rebuild {
-    /// Old element of each new one.
+    /// Index of the old element from which each new one comes.
     pub sources: Vec<u32>,
-    /// From here on, elements are new.
+    /// Index of the first new element.
     pub fresh: usize,
-    /// Elements that were pruned.
+    /// Number of elements that were pruned.
     pub pruned: usize,
 }
 
@@ -96,7 +97,8 @@ impl DensityStatistics {
         self.gradient.len() == count && self.seen.len() == count
     }
 
-    /// Adds one view; `pixels` turns the gradient of a mean over pixels into one per pixel.
+    /// Adds the gradients of one view. `pixels` is the number of its pixels: it turns the gradient of a mean over
+    /// pixels into that of a sum.
     pub fn add(&mut self, projected: &Projected, grads: &[SplatGradient], pixels: usize) {
         // A step with numbers that are not finite is rejected, so its gradients must not count here either.
         let length = |place: usize| (grads[place].col * grads[place].col + grads[place].row * grads[place].row).sqrt();
@@ -111,8 +113,8 @@ impl DensityStatistics {
         });
     }
 
-    /// Prunes, splits and clones `gaussians`, and resets the statistics. `bounds` in metres; Gaussians outside are
-    /// pruned.
+    /// Prunes, splits and clones `gaussians`, and resets the statistics. Gaussians outside `bounds` (lowest and highest
+    /// corner, metres) are pruned; `gsd_m` is the ground sampling distance, metres.
     pub fn apply(
         &mut self,
         gaussians: &mut Table,
@@ -171,8 +173,9 @@ fn is_kept(gaussians: &Table, index: usize, options: &DensityOptions, gsd_m: f32
         && gaussians.scale(index).max_element() < options.prune_gsd * gsd_m
 }
 
-/// Makes two Gaussians of one. Larger than `split_m` metres, it is split along its longest axis; else it is cloned in
-/// place. Both copies get the opacity that keeps their joint absorption equal to the original's.
+/// Makes two Gaussians of one. One whose longest standard deviation exceeds `split_m` metres is split along that axis;
+/// a smaller one is cloned in place, and both copies get the opacity that keeps their joint absorption equal to the
+/// original's.
 fn split_or_clone(table: &mut Table, old: usize, new: usize, split_m: f32, random: &mut Pcg32) {
     let scale = table.scale(old);
     let longest = if scale.x >= scale.y && scale.x >= scale.z {

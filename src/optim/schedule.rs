@@ -17,7 +17,7 @@ pub struct LearningRate {
 }
 
 impl LearningRate {
-    /// The group does not change.
+    /// Rate zero: the group does not change.
     pub const FROZEN: Self = Self::constant(0.0);
 
     /// A constant rate.
@@ -29,13 +29,13 @@ impl LearningRate {
         }
     }
 
-    /// The same, frozen until the share `from` (0 to 1) of training is done. The decay still counts from the first
+    /// This rate, frozen until the share `from` (0 to 1) of training is done. The decay still counts from the first
     /// step.
     pub const fn starting_at(self, from: f32) -> Self {
         Self { from, ..self }
     }
 
-    /// The same, decaying exponentially to the share `end` of the rate at the last step.
+    /// This rate, decaying exponentially to the share `end` of the rate at the last step.
     pub const fn decaying_to(self, end: f32) -> Self {
         Self { end: Some(end), ..self }
     }
@@ -57,7 +57,7 @@ impl LearningRate {
 pub struct ParameterGroup {
     /// Name and width.
     pub spec: GroupSpec,
-    /// Its learning rate and schedule.
+    /// Learning rate and schedule.
     pub rate: LearningRate,
 }
 

@@ -14,7 +14,7 @@ const NEAR_AXIS: f32 = 0.05;
 /// Least `sin θ`, which only matters opposite to the axis.
 const LEAST_SINE: f32 = 1e-4;
 
-/// Shape of a lobe.
+/// Shape of an anisotropic lobe.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lobe {
     /// Width along the first axis, relative.
@@ -28,11 +28,11 @@ pub struct Lobe {
 /// Value of a lobe and its gradients.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LobeValue {
-    /// The value.
+    /// Value of the lobe.
     pub value: f32,
-    /// To the direction; right along the sphere.
+    /// Gradient to the direction, valid for changes along the sphere.
     pub direction: Vec3,
-    /// To λ, μ and σ.
+    /// Gradients to λ, μ and σ.
     pub shape: [f32; 3],
 }
 

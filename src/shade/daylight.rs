@@ -24,7 +24,7 @@ pub fn air_mass(elevation_rad: f64) -> f64 {
     1.0 / (elevation_rad.sin() + 0.50572 * (degrees + 6.07995).powf(-1.6364))
 }
 
-/// The air in one band.
+/// Optical depth and scattering of the air in one band.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BandAir {
@@ -47,13 +47,13 @@ impl BandAir {
         passed * elevation_rad.max(0.0).sin()
     }
 
-    /// Irradiance of the sky on level ground, in the same unit.
+    /// Irradiance of the sky on level ground, relative to the sun above the air.
     pub fn sky(&self, elevation_rad: f64) -> f64 {
         let passed = (-self.optical_depth * air_mass(elevation_rad)).exp();
         self.sky_share * (1.0 - passed) * elevation_rad.max(0.0).sin()
     }
 
-    /// Irradiance of both.
+    /// Irradiance of sun and sky on level ground, relative to the sun above the air.
     pub fn level(&self, elevation_rad: f64) -> f64 {
         self.sun(elevation_rad) + self.sky(elevation_rad)
     }

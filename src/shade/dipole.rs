@@ -5,8 +5,8 @@
 //! ```
 //!
 //! with `σ_t' = σ_s' + σ_a`, `α' = σ_s'/σ_t'`, `σ_tr = √(3 σ_a σ_t')`, `z_r = 1/σ_t'`, `z_v = z_r (1 + 4A/3)` and
-//! `d² = r² + z²`. The code published with SSD-GS multiplies the second term by `z_r` once more, which is no
-//! reflectance (its unit is wrong); this is the form that integrates to the closed one.
+//! `d² = r² + z²`. The code published with SSD-GS multiplies the second term by `z_r` once more, which gives that term
+//! a wrong unit. The form here integrates to the reflectance in closed form.
 
 use std::f32::consts::PI;
 
@@ -33,11 +33,11 @@ pub struct Medium {
 pub struct Scattered {
     /// Light that leaves per light that enters, per area.
     pub value: f32,
-    /// To the distance.
+    /// Gradient to the distance.
     pub distance: f32,
-    /// To the scattering coefficient.
+    /// Gradient to the scattering coefficient.
     pub scattering: f32,
-    /// To the absorption coefficient.
+    /// Gradient to the absorption coefficient.
     pub absorption: f32,
 }
 
@@ -65,7 +65,8 @@ fn pole(r: f32, z: f32, s: f32) -> (f32, f32, f32, f32) {
 }
 
 impl Medium {
-    /// The profile at distance `r`, which may be zero; coefficients may be zero or infinite.
+    /// The profile at distance `r`, which may be zero, in the unit of length of the coefficients; these may be zero or
+    /// infinite.
     #[inline]
     pub fn profile(&self, r: f32) -> Scattered {
         let within = |x: f32| if x < MOST { x } else { MOST };

@@ -3,10 +3,10 @@
 
 /// Linear light up to which the curve is a line.
 const LINEAR_END: f32 = 0.003_130_8;
-/// The display value there.
+/// Display value at `LINEAR_END`.
 const LINEAR_END_ENCODED: f32 = 0.040_45;
 
-/// The display value of light, and its slope.
+/// Display value of linear light, and the slope of the curve there.
 #[inline]
 pub fn encode(light: f32) -> (f32, f32) {
     if light <= LINEAR_END {
@@ -16,7 +16,7 @@ pub fn encode(light: f32) -> (f32, f32) {
     (1.055 * power - 0.055, 1.055 / 2.4 * power / light)
 }
 
-/// The light of a display value.
+/// Linear light of a display value.
 #[inline]
 pub fn decode(value: f32) -> f32 {
     if value <= LINEAR_END_ENCODED {

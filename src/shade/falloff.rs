@@ -1,14 +1,14 @@
 //! Distance falloff of a light that has a size.
 
-/// Least radius of a point light, as a share of the distance at which it counts as one: the light may be at the very
-/// position of a Gaussian, and nothing is lit without bounds.
+/// Least radius of a point light, as a share of the distance `D` of the falloff. It bounds the light on a Gaussian at
+/// the position of the light.
 pub const LEAST_RADIUS: f32 = 1e-3;
 
-/// `D² / (d² + r²)` at distance `d` from a light of radius `r` that counts as one at distance `D`, and its slope to
-/// `d`.
+/// Falloff `D² / (d² + r²)` at the distance `d` to the light (`to_light`), of a light of radius `r` (`radius`) that
+/// counts as one at the distance `D` (`distance`), and its slope to `d`; all in one unit of length.
 #[inline]
 pub fn falloff(to_light: f32, distance: f32, radius: f32) -> (f32, f32) {
-    // In units of D: its square may not be a number.
+    // In units of D, whose square might overflow.
     let (d, r) = (to_light / distance, (radius / distance).max(LEAST_RADIUS));
     let value = 1.0 / (d * d + r * r);
     (value, -2.0 * d * value * value / distance)

@@ -7,13 +7,13 @@
 //! G1(ω) = 2 n·ω / (n·ω + √(α_x² (x·ω)² + α_y² (y·ω)² + (n·ω)²))
 //! ```
 //!
-//! Printed without `1 +`, `D` has no bound at `h = n`; printed with `λ`, `μ` and `h`, `G1` masks nothing. With them,
-//! `D` of a unit vector is anisotropic GGX (Walter et al. 2007; Heitz 2014).
+//! The paper prints `D` without `1 +`, which has no bound at `h = n`, and `G1` with `λ`, `μ` and `h`, which masks
+//! nothing. As corrected here, `D` of a unit vector is anisotropic GGX (Walter et al. 2007; Heitz 2014).
 
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
-/// Density of facets that face the unit vector `h`, in the frame of the surface; `alpha` from 1e-3 to 1.
+/// Density `D` of the facets that face the unit vector `h`, in the frame of the surface; widths `alpha` from 1e-3 to 1.
 #[inline]
 pub fn density(h: Vec3, alpha: [f32; 2]) -> f32 {
     // 1 + λ h_x² + μ h_y² of a unit vector, without the difference of large numbers.
@@ -22,7 +22,8 @@ pub fn density(h: Vec3, alpha: [f32; 2]) -> f32 {
     FRAC_1_PI / (alpha[0] * alpha[1] * sum * sum)
 }
 
-/// Share of the facets that the direction `w` sees, in the frame of the surface; zero from below.
+/// Masking `G1`: visible share of the facets, 0 to 1, from the unit direction `w` in the frame of the surface; zero
+/// from below.
 #[inline]
 pub fn masking(w: Vec3, alpha: [f32; 2]) -> f32 {
     let cosine = w.z.max(0.0);

@@ -5,23 +5,23 @@
 
 use glam::Vec3;
 
-/// The largest degree.
+/// Largest degree of the functions.
 pub const MAX_DEGREE: usize = 3;
-/// Functions to degree 3.
+/// Number of functions to degree 3.
 pub const MAX_FUNCTIONS: usize = 16;
-/// The constant function.
+/// Value of the constant function, `1 / (2 √π)`.
 pub const C0: f32 = 0.282_094_8;
 const C1: f32 = 0.488_602_52;
 const C2: [f32; 3] = [1.092_548_4, 0.315_391_57, 0.546_274_24];
 const C3: [f32; 4] = [0.590_043_6, 2.890_611_4, 0.457_045_8, 0.373_176_34];
 const C3_5: f32 = 1.445_305_7;
 
-/// Functions of degrees 0 to `degree`.
+/// Number of functions of degrees 0 to `degree`.
 pub const fn functions(degree: usize) -> usize {
     (degree + 1) * (degree + 1)
 }
 
-/// The functions to degree 3 in the unit direction `d`.
+/// Values of the functions to degree 3 in the unit direction `d`.
 #[inline]
 pub fn basis(d: Vec3) -> [f32; MAX_FUNCTIONS] {
     let Vec3 { x, y, z } = d;

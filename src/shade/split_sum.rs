@@ -16,11 +16,11 @@ const SAMPLES: usize = 40;
 /// Both sums, and their gradients.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SplitSum {
-    /// `F1` and `F2`.
+    /// Values of `F1` and `F2`.
     pub values: [f32; 2],
-    /// To the roughness.
+    /// Gradients of `F1` and `F2` to the roughness.
     pub roughness: [f32; 2],
-    /// To the cosine between normal and eye.
+    /// Gradients of `F1` and `F2` to the cosine between normal and eye.
     pub cosine: [f32; 2],
 }
 

@@ -14,30 +14,30 @@ pub const TILE_WIDTH: usize = 32;
 /// Rows of a tile, pixels.
 pub const TILE_HEIGHT: usize = 16;
 
-/// Per-tile lists of splats, front to back; equal depths in the order of their splats.
+/// Lists of the splats of each tile, front to back; splats of equal depth are in the order of their indices.
 #[derive(Debug, Clone, Default)]
 pub struct Bins {
-    /// Tiles per row of tiles.
+    /// Number of tiles in a row of tiles.
     pub columns: usize,
-    /// Rows of tiles.
+    /// Number of rows of tiles.
     pub rows: usize,
     /// `starts[t]..starts[t + 1]` is the part of `list` of tile `t`.
     pub starts: Vec<u32>,
-    /// Splats, tile after tile, front to back within a tile.
+    /// Splats, tile after tile, and front to back within a tile.
     pub list: Vec<Entry>,
     /// `slot_starts[s]..slot_starts[s + 1]` is the part of `slots` of splat `s`.
     pub slot_starts: Vec<u32>,
-    /// The records of each splat, its own one after another.
+    /// Gradient records, splat after splat.
     pub slots: Vec<u32>,
 }
 
-/// A splat in a tile.
+/// Entry of a splat in the list of a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Entry {
     /// Index of the splat.
     pub splat: u32,
-    /// Index of the gradient record that the tile writes for it: like the list tile after tile, but by index within a
-    /// tile, so that neighbours in the table of splats are neighbours in memory.
+    /// Index of the gradient record that the tile writes for this splat. Records lie tile after tile, and within a tile
+    /// by index of the splat, so that neighbours in the table of splats are neighbours in memory.
     pub record: u32,
 }
 
@@ -199,12 +199,12 @@ impl Bins {
         }
     }
 
-    /// The splats of a tile, front to back.
+    /// Entries of the splats of a tile, front to back.
     pub fn tile(&self, tile: usize) -> &[Entry] {
         &self.list[self.starts[tile] as usize..self.starts[tile + 1] as usize]
     }
 
-    /// The records of a splat.
+    /// Indices of the gradient records of a splat.
     pub fn slots_of(&self, splat: usize) -> &[u32] {
         &self.slots[self.slot_starts[splat] as usize..self.slot_starts[splat + 1] as usize]
     }

@@ -27,14 +27,14 @@ const CHUNK: usize = 2048;
 pub struct Projected {
     /// The splats, in the order of their Gaussians.
     pub splats: Vec<Splat>,
-    /// The Gaussian of each splat.
+    /// Index of the Gaussian of each splat, ascending.
     pub gaussian: Vec<u32>,
-    /// Gaussians dropped because a number was not finite.
+    /// Number of Gaussians dropped because a number was not finite.
     pub non_finite: usize,
 }
 
 impl Projected {
-    /// Leaves out the splats of Gaussians that are not `present`.
+    /// Drops the splats of Gaussians that are not `present` (a flag per Gaussian).
     pub fn keep(&mut self, present: &[bool]) {
         let kept = |gaussian: &u32| present[*gaussian as usize];
         let mut of_splats = self.gaussian.iter();
@@ -96,7 +96,7 @@ fn joined(chunks: &[Projected]) -> Projected {
     }
 }
 
-/// Adds the gradients of the splats to those of their Gaussians.
+/// Adds the gradients of the splats, `grads`, to those of their Gaussians, `out`.
 pub fn project_backward(
     gaussians: &Table,
     camera: &ProjectiveCamera,

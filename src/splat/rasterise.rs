@@ -27,11 +27,11 @@ pub fn padded_channels(channels: usize) -> usize {
 /// Composited depths along rays besides their mean.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Depths {
-    /// None, as in training.
+    /// No other depths, as in training.
     #[default]
     Mean,
-    /// Squares and quantiles, for the spread along a ray, and the median depth, where half of the ray is left; for
-    /// products.
+    /// Squared depths and quantiles, for the spread along a ray, and the median depth, where half of the ray's light is
+    /// left; for products.
     Median,
 }
 
@@ -50,31 +50,32 @@ pub struct Maps {
     pub depth: Vec<f32>,
     /// `Σ w z²`, metres²; empty unless all depths are composited.
     pub depth_square: Vec<f32>,
-    /// Depth where 0.84 of the ray is left, one deviation before the median where depths along it are normal; as the
-    /// median.
+    /// Depth where 0.84 of the ray's light is left, metres: one standard deviation before the median if the depths
+    /// along the ray are normally distributed. NaN and empty as `median_depth`.
     pub near_depth: Vec<f32>,
-    /// Depth where half of the ray is left, or of its last splat, metres, NaN where nothing is; empty unless all depths
-    /// are composited.
+    /// Depth where half of the ray's light is left, or of its last splat, metres; NaN where there is no splat. Empty
+    /// unless all depths are composited.
     pub median_depth: Vec<f32>,
-    /// Depth where 0.16 of the ray is left; as the median.
+    /// Depth where 0.16 of the ray's light is left, metres: one standard deviation behind the median if the depths
+    /// along the ray are normally distributed. NaN and empty as `median_depth`.
     pub far_depth: Vec<f32>,
-    /// (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
+    /// Number of (splat, pixel) pairs: pixels inside the footprints of the splats, up to where a tile is opaque.
     pub pairs: u64,
 }
 
-/// Gradients of a loss to [`Maps`]; same planes.
+/// Gradients of a loss to [`Maps`], in planes of the same size.
 #[derive(Debug, Clone, Default)]
 pub struct MapGradients {
-    /// To the channels.
+    /// Gradients to the channels, one plane each.
     pub channels: Vec<Vec<f32>>,
-    /// To the accumulated alpha.
+    /// Gradient to the accumulated alpha.
     pub alpha: Vec<f32>,
-    /// To `Σ w z`.
+    /// Gradient to `Σ w z`.
     pub depth: Vec<f32>,
 }
 
 impl MapGradients {
-    /// All zero, for `channels` planes of `pixels`.
+    /// Zero gradients, for `channels` planes of `pixels` pixels.
     pub fn zeros(channels: usize, pixels: usize) -> Self {
         Self {
             channels: (0..channels).into_par_iter().map(|_| vec![0.0; pixels]).collect(),
@@ -87,9 +88,9 @@ impl MapGradients {
 /// Gradients to the splats and to their features.
 #[derive(Debug, Clone, Default)]
 pub struct SplatGradients {
-    /// One record per splat.
+    /// Gradient to each splat.
     pub splats: Vec<SplatGradient>,
-    /// `[splat][channel]`, with the padded channel count.
+    /// Gradients to the features, `[splat][channel]`, with the padded channel count.
     pub features: Vec<f32>,
 }
 
@@ -135,12 +136,12 @@ impl<'a> Rasteriser<'a> {
         }
     }
 
-    /// The rasteriser with more statistics of the depths.
+    /// This rasteriser, with `depths` as the composited depths.
     pub fn with_depths(self, depths: Depths) -> Self {
         Self { depths, ..self }
     }
 
-    /// The bins, for a later [`Self::with_bins`].
+    /// Takes the bins out, for a later [`Self::with_bins`].
     pub fn into_bins(self) -> Bins {
         self.bins.into_owned()
     }
@@ -157,7 +158,7 @@ impl<'a> Rasteriser<'a> {
     /// Gradients of the splats and features from those of the maps that [`Self::forward`] made.
     ///
     /// # Panics
-    /// As [`Self::forward`].
+    /// When `channels` is not in [`CHANNEL_COUNTS`] or `features` has another size.
     pub fn backward(&self, features: &[f32], channels: usize, maps: &Maps, grads: &MapGradients) -> SplatGradients {
         assert_eq!(features.len(), self.projected.splats.len() * channels);
         dispatch!(channels, K => self.backward_k::<K>(features, maps, grads))

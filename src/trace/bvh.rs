@@ -12,7 +12,7 @@ use std::ops::Range;
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// Opacity at which a Gaussian ends for the light.
+/// Attenuation at which the reach of an occluding Gaussian ends.
 pub const OPACITY_MIN: f32 = 0.001;
 
 /// One Gaussian as an occluder of light.
@@ -31,7 +31,7 @@ pub struct Occluder {
 }
 
 impl Occluder {
-    /// The occluder of a Gaussian.
+    /// Occluder of Gaussian `index`.
     pub fn new(gaussians: &Table, index: usize) -> Self {
         let opacity = gaussians.opacity(index);
         let scale = gaussians.scale(index);
@@ -58,7 +58,7 @@ impl Occluder {
         }
     }
 
-    /// `S⁻¹ Rᵀ`: scene metres to standard deviations.
+    /// Whitening `S⁻¹ Rᵀ`: takes scene metres to standard deviations.
     #[inline(always)]
     pub fn whiten(&self) -> Mat3 {
         let inverse = (self.scale * self.scale).recip();
@@ -85,7 +85,7 @@ impl Occluder {
 /// Axis-aligned bounds: least and largest east, north and up, metres.
 pub(crate) type Bounds = [[f32; 3]; 2];
 
-/// The hierarchy over the bounds of all occluders.
+/// Bounding volume hierarchy over the bounds of all occluders.
 pub(super) struct Hierarchy {
     tree: Bvh2,
     /// Bounds that the tree was built on; it has since been refitted to others.
@@ -98,7 +98,7 @@ pub(super) struct Hierarchy {
 pub(super) struct Shaft {
     /// Centre of the box, metres.
     pub(super) centre: Vec3,
-    /// Its half sizes, metres.
+    /// Half sizes of the box, metres.
     pub(super) half: Vec3,
     /// Unit vector along the axis.
     pub(super) direction: Vec3,
@@ -131,7 +131,7 @@ impl Hierarchy {
         Self { tree, built_on, rank }
     }
 
-    /// Fits the bounds to occluders that have moved; which leaf holds which stays.
+    /// Fits the bounds to occluders that have moved; each leaf keeps its occluders.
     fn refit(&mut self, list: &[Occluder]) {
         let bounds = bounds(list);
         let Bvh2 {
@@ -222,7 +222,7 @@ pub enum SunVisibility {
 /// All Gaussians of a table as occluders, as they were when this was made. The hierarchy over them is built on first
 /// use.
 pub struct Occluders {
-    /// The occluders, by Gaussian.
+    /// Occluders, one for each Gaussian, in their order.
     pub list: Vec<Occluder>,
     /// Tracer of parallel light.
     pub sun_visibility: SunVisibility,
@@ -238,12 +238,12 @@ fn list(gaussians: &Table) -> Vec<Occluder> {
 }
 
 impl Occluders {
-    /// The occluders of a table; parallel light takes the plane of the sun.
+    /// The occluders of a table; parallel light is traced by [`SunVisibility::Plane`].
     pub fn new(gaussians: &Table) -> Self {
         Self::tracing_by(SunVisibility::default(), gaussians)
     }
 
-    /// The occluders of a table, past which parallel light is traced by `sun_visibility`.
+    /// The occluders of a table, with `sun_visibility` as the tracer of parallel light.
     pub fn tracing_by(sun_visibility: SunVisibility, gaussians: &Table) -> Self {
         Self {
             list: list(gaussians),
@@ -252,7 +252,8 @@ impl Occluders {
         }
     }
 
-    /// Occluders with a hierarchy that was built on earlier bounds of the Gaussians and is refitted to the current ones.
+    /// Occluders with a hierarchy that was built on earlier bounds of the Gaussians, `built_on`, and is refitted to the
+    /// current ones.
     ///
     /// # Panics
     /// When the number of bounds differs.
@@ -275,7 +276,7 @@ impl Occluders {
         self.hierarchy.get().map(|hierarchy| hierarchy.built_on.as_slice())
     }
 
-    /// The occluders of the same Gaussians after they have moved: an existing hierarchy is kept and refitted.
+    /// Replaces the occluders after their Gaussians have moved; an existing hierarchy is kept and refitted.
     ///
     /// # Panics
     /// When the number of Gaussians differs.
@@ -287,7 +288,7 @@ impl Occluders {
         }
     }
 
-    /// Lets light through those that are not `present`, until they are renewed.
+    /// Lets light through the Gaussians that are not `present` (a flag per Gaussian), until [`Self::renew`].
     pub fn hide(&mut self, present: &[bool]) {
         for (occluder, present) in self.list.iter_mut().zip(present) {
             if !present {
@@ -296,6 +297,7 @@ impl Occluders {
         }
     }
 
+    /// The hierarchy over the occluders, built on first use.
     pub(super) fn hierarchy(&self) -> &Hierarchy {
         self.hierarchy.get_or_init(|| Hierarchy::new(&self.list))
     }

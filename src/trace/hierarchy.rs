@@ -28,7 +28,7 @@ pub(super) struct HierarchyTrace {
     chunks: Vec<Chunk>,
 }
 
-/// Some bundles.
+/// Consecutive bundles and their hits.
 struct Chunk {
     bundles: Vec<Bundle>,
     /// End of each bundle's hits in `hits`; they begin at the end of the previous bundle's.
@@ -61,7 +61,8 @@ fn by_neighbourhood(origins: &[u32], hierarchy: &Hierarchy) -> Vec<u32> {
 }
 
 impl HierarchyTrace {
-    /// Traces `rays`, which start from `origins`, toward `light` past all occluders; returns the result of each, too.
+    /// Traces `rays`, which start from the Gaussians `origins`, toward `light` past all occluders; also returns the
+    /// result of each ray.
     pub(super) fn new(
         occluders: &Occluders,
         light: &Light,
@@ -81,7 +82,7 @@ impl HierarchyTrace {
         (Self { order, chunks }, in_place)
     }
 
-    /// Adds the gradients of the occluders.
+    /// Adds the gradients of the occluders to `out`.
     pub(super) fn backward(&self, gaussians: &Table, occluders: &Occluders, gradients: &RayGradients, out: &mut Table) {
         let ranges = gaussians.count.div_ceil(RANGE);
         let records: Vec<ContributionsByRange> = self

@@ -19,9 +19,13 @@ const LIFT: f32 = 3.717;
 /// A ray from a Gaussian toward the light.
 #[derive(Debug, Clone)]
 pub(super) struct LightRay {
+    /// Start of the ray, metres.
     pub(super) origin: Vec3,
+    /// Unit vector toward the light.
     pub(super) direction: Vec3,
+    /// Distance from the Gaussian's centre to the light, metres; infinite for parallel light.
     pub(super) length: f32,
+    /// Distance along the ray up to which peaks do not count, metres: the Gaussian's own extent `sqrt(rᵀΣr)`.
     pub(super) bias: f32,
     lift: Lift,
 }
@@ -32,7 +36,7 @@ struct Lift {
     thin: usize,
     /// The axis, turned to the light.
     axis: Vec3,
-    /// 1 or -1: whether it was turned.
+    /// -1 if the axis was turned round to face the light, else 1.
     sign: f32,
     height: f32,
     /// Lift of a ray at right angles to the axis.
@@ -73,10 +77,10 @@ impl LightRay {
         }
     }
 
-    /// Gradient to the parameters of the Gaussian that the ray starts from, from the gradient to the ray's start:
-    /// `start = position + axis · full · (1 - axis·r)`, `full` proportional to the thinnest scale. A ray to a point
-    /// light turns as its start moves, `∂r/∂position = -(I - rrᵀ) / length`; `d_turn` is the part of the gradient along
-    /// the ray that this removes. The lift follows `r`.
+    /// Gradient to the parameters of the Gaussian that the ray starts from, from the gradient `d_start` to the ray's
+    /// start: `start = position + axis · full · (1 - axis·r)`, `full` proportional to the thinnest scale. A ray to a
+    /// point light turns as its start moves, `∂r/∂position = -(I - rrᵀ) / length`; `d_turn` is the part of `d_start`
+    /// that this turn cancels. The lift follows `r`.
     pub(super) fn backward(&self, d_start: Vec3, d_turn: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
         let lift = &self.lift;
         let d_height = d_start.dot(lift.axis);

@@ -7,23 +7,23 @@ use glam::Vec3;
 /// Product of the attenuations along one ray, and its gradients to the ray.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct RayTransmittance {
-    /// `Π (1 - α̃)`.
+    /// Transmittance `Π (1 - α̃)`, 0 to 1.
     pub(super) value: f32,
     /// Gradient of `ln Π (1 - α̃)` to the origin of the ray, 1/m, direction fixed.
     pub(super) d_origin: Vec3,
     /// Gradient of the origin through the change in ray direction, to be subtracted: each Gaussian's gradient times its
     /// distance along the ray over the distance to the light. Zero for parallel light.
     pub(super) d_turn: Vec3,
-    /// Gaussians hit.
+    /// Number of Gaussians hit.
     pub(super) hits: u32,
 }
 
-/// The rays that gradients go back along.
+/// Rays of a backward pass.
 #[derive(Clone, Copy)]
 pub(super) struct RayGradients<'a> {
-    /// The Gaussian that each starts from.
+    /// Gaussian that each ray starts from.
     pub(super) origins: &'a [u32],
-    /// Gradient of the loss to the logarithm of each transmittance.
+    /// Gradient of the loss to the logarithm of each ray's transmittance.
     pub(super) d_log: &'a [f32],
 }
 

@@ -56,9 +56,9 @@ struct PlaneRay {
 /// Ellipses of about one size.
 struct Level {
     cells: Cells,
-    /// Their start in the list of all.
+    /// Index of the level's first ellipse in the list of all.
     first: usize,
-    /// The largest half sizes.
+    /// Largest half sizes of the ellipses, metres.
     half_size: Vec2,
 }
 
@@ -68,7 +68,7 @@ pub(super) struct SunPlaneTrace {
     levels: Vec<Level>,
     /// Level after level, cell after cell.
     ellipses: Vec<Ellipse>,
-    /// Mean half sizes.
+    /// Mean half sizes of the ellipses, metres.
     half_size: Vec2,
 }
 

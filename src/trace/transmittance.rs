@@ -1,9 +1,9 @@
 //! Transmittance from Gaussians to a light, and its gradients.
 //!
-//! From the centre of Gaussian 0 toward the light `r`, every Gaussian `i` whose 1-D density along the ray peaks beyond
-//! the self-shadow bias absorbs `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction `d`), and
-//! `S = Π (1 - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12). A ray
-//! with less than a millionth left counts as dark, with value zero and no gradients.
+//! Toward the light, in the direction `r` from the centre of Gaussian 0, every Gaussian `i` whose 1-D density along the
+//! ray peaks beyond the self-shadow bias absorbs `α̃_i = o_i exp(-½ ‖e×d‖²/‖d‖²)` (whitened offset `e` and direction
+//! `d`), and `S = Π (1 - α̃_i)`. The product has no order, so nothing is sorted (ShadowGS, Luo et al. 2026, eq. 10–12).
+//! A ray with less than a millionth left counts as dark, with value zero and no gradients.
 //!
 //! `light_ray` defines the start of a ray and the self-shadow bias. `hierarchy` finds the Gaussians on a ray for any
 //! light, `sun_plane` for parallel light in two thirds of the time. Both agree to 0.002 in transmittance.
@@ -50,14 +50,14 @@ pub struct Transmittance {
 /// Rays that carry gradients to the occluders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OccluderGradients {
-    /// None: only where rays start moves.
+    /// None: gradients reach only the origins of the rays.
     None,
     /// All rays.
     All,
-    /// A sample with the gradients of all as its expectation (Russian roulette, Arvo and Kirk 1990): a ray whose
+    /// A sample with the gradients of all rays as its expectation (Russian roulette, Arvo and Kirk 1990). A ray whose
     /// gradient, to the logarithm of its transmittance, is smaller than half of the mean one is kept with the
-    /// probability of their ratio, and then counts as that half. Many rays have such small gradients, and nearly all in
-    /// deep shade, which meet the most Gaussians. For parallel light; point lights take all rays.
+    /// probability of their ratio, and then counts as that half. Many rays have such small gradients, among them nearly
+    /// all in deep shade, which meet the most Gaussians. Only parallel light is sampled; point lights take all rays.
     Sampled {
         /// Seed of the sample.
         seed: u64,
@@ -74,7 +74,7 @@ enum Finder {
 }
 
 impl Transmittance {
-    /// From the results of all rays.
+    /// Transmittances from the results of all rays.
     fn of(traced_rays: &[RayTransmittance], light: Light, finder: Finder) -> Self {
         let all = || traced_rays.par_iter().with_min_len(CHUNK);
         let dark = RayTransmittance::default();

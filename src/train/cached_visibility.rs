@@ -3,8 +3,8 @@
 
 use crate::gaussians::for_each_of;
 
-/// Gradients below this share of the mean of those that are not zero are negligible: those of a quarter to two fifths
-/// of a view's splats, and with 0.3 of about half (docs/lab/speed.md).
+/// Share of the mean non-zero gradient below which a gradient is negligible. A quarter to two fifths of a view's splats
+/// are below it; about half would be below 0.3 (docs/lab/speed.md).
 const NEGLIGIBLE: f64 = 0.1;
 
 /// A view's transmittances toward its light from an earlier step, by Gaussian.
@@ -12,11 +12,11 @@ const NEGLIGIBLE: f64 = 0.1;
 pub(super) struct CachedVisibility {
     /// Transmittances, 0 to 1; Gaussians that the view did not show count as lit.
     pub(super) values: Vec<f32>,
-    /// Steps that have used it, the one that traced it included.
+    /// Number of steps that have used the cache, including the one that traced it.
     pub(super) uses: usize,
-    /// Gaussians of the view whose light hardly changed its image at the last trace.
+    /// Flag per Gaussian, true if its light hardly changed the image of the view at the last trace.
     negligible: Vec<bool>,
-    /// Traces of this view before this one, since the number of Gaussians changed.
+    /// Number of traces of this view before this one, since the number of Gaussians changed.
     traces: usize,
 }
 
@@ -58,13 +58,13 @@ impl CachedVisibility {
         }
     }
 
-    /// True if one more step may use the cache, where a view is traced once in `light_every` steps.
+    /// True if one more step may use the cache, when a view is traced once in `light_every` steps.
     pub(super) fn is_fresh(&self, light_every: usize) -> bool {
         self.uses < light_every
     }
 
-    /// Gaussians that keep their light at the next trace: while its light is negligible, a Gaussian takes part in one
-    /// trace of `every`, in turns. `None` where all take part.
+    /// Flag per Gaussian, true if it keeps its light at the next trace: while its light is negligible, a Gaussian takes
+    /// part in one trace of `every`, in turns. `None` if all take part.
     pub(super) fn kept(&self, every: usize) -> Option<Vec<bool>> {
         let kept =
             |(gaussian, &negligible): (usize, &bool)| negligible && !(gaussian + self.traces).is_multiple_of(every);

@@ -38,7 +38,7 @@ pub struct TrainerState<'a> {
     /// Step at which the occluders were made, and the bounds that a hierarchy over them was built on: the places of
     /// Gaussians in it fix the order of products.
     occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,
-    /// Neighbours at the last change of the number of Gaussians, so they do not follow from the current positions.
+    /// Neighbours as of the last change of the number of Gaussians; the current positions do not determine them.
     neighbours: Option<Cow<'a, Neighbours>>,
     step: usize,
     rejected: usize,
@@ -47,7 +47,7 @@ pub struct TrainerState<'a> {
 }
 
 impl TrainerState<'_> {
-    /// Steps done.
+    /// Number of steps done.
     pub fn steps(&self) -> usize {
         self.step
     }
@@ -66,7 +66,7 @@ fn same_shape(table: &Table, like: &Table) -> bool {
 }
 
 impl Trainer<'_> {
-    /// The state of this training, borrowed.
+    /// State of this training, borrowed.
     pub fn state(&self) -> TrainerState<'_> {
         TrainerState {
             options: TrainerOptionsState {
@@ -94,7 +94,7 @@ impl Trainer<'_> {
     /// Restores the state of a training with the same views, model and options.
     ///
     /// # Errors
-    /// [`StateError`] when it does not match; the trainer is then unchanged.
+    /// [`StateError`] when `state` does not match; the trainer is then unchanged.
     pub fn restore(&mut self, state: TrainerState) -> Result<(), StateError> {
         self.check(&state)?;
         self.options.iterations = state.options.iterations;

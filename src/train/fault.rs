@@ -11,10 +11,10 @@ const GRADIENT_MAX: f32 = 1e18;
 /// The part of a step that is not finite.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Fault {
-    /// A loss.
+    /// The named loss.
     #[error("the loss '{0}' is not finite")]
     Loss(&'static str),
-    /// The gradient to a group of parameters.
+    /// The gradient to the named group of parameters.
     #[error("the gradient to '{0}' is not finite")]
     Gradient(String),
 }
@@ -27,57 +27,57 @@ pub enum TrainError {
         "{rejected} steps in a row gave numbers that are not finite ({fault}, last in view {view}); the last good state is kept"
     )]
     NotFinite {
-        /// Steps rejected in a row.
+        /// Number of steps rejected in a row.
         rejected: usize,
         /// The non-finite part of the last rejected step.
         fault: Fault,
-        /// The view of the last rejected step.
+        /// Name of the view of the last rejected step.
         view: String,
     },
     /// No Gaussians are left.
     #[error("no Gaussians are left; the images may not overlap or the altitude range may miss the ground")]
     Empty,
-    /// There is nothing to learn from.
+    /// There are no views.
     #[error("a model needs at least one view")]
     NoViews,
-    /// No pixel of any view counts.
+    /// No pixel of any view has a positive weight and a value.
     #[error(
         "no pixel of any view counts: the images are missing values where the model has a surface, or show nothing of it"
     )]
     NoPixels,
-    /// Step after step shows nothing.
+    /// Too many steps in a row saw no Gaussian.
     #[error(
         "{steps} steps in a row saw no Gaussian: the cameras do not look at the model; check cameras and altitude range"
     )]
     NothingSeen {
-        /// Steps that saw nothing, in a row.
+        /// Number of steps in a row that saw no Gaussian.
         steps: usize,
     },
     /// The start has numbers that are not finite.
     #[error("the start has numbers in '{group}' that are not finite; check the options of the start")]
     Start {
-        /// The group they are in.
+        /// Name of the group that contains them.
         group: String,
     },
     /// The start does not have the model's groups of parameters.
     #[error("the start has other groups of parameters than the model '{model}' of these options")]
     Groups {
-        /// The model.
+        /// Name of the model.
         model: &'static str,
     },
-    /// An option has a value that means nothing.
+    /// An option is out of its range.
     #[error("train.{option} is {value}, expected {expected}")]
     Option {
-        /// Its name.
+        /// Name of the option.
         option: &'static str,
-        /// Its value.
+        /// Value of the option.
         value: String,
-        /// The values allowed.
+        /// Description of the allowed values.
         expected: &'static str,
     },
 }
 
-/// The first group of a table with a value that `sound` refuses.
+/// Name of the first group of a table with a value for which `sound` is false.
 fn unsound(table: &Table, sound: impl Fn(f32) -> bool + Sync) -> Option<&str> {
     let is_sound = |values: &[f32]| {
         values
@@ -93,13 +93,17 @@ pub(super) fn of_step(losses: &[NamedLoss], gradients: &Parameters) -> Option<Fa
     if let Some((name, _)) = losses.iter().find(|(_, value)| !value.is_finite()) {
         return Some(Fault::Loss(name));
     }
-    // Written so that NaN is refused.
+    // The comparison is false for NaN.
     let sound = |value: f32| value.abs() < GRADIENT_MAX;
     unsound(&gradients.gaussians, sound)
         .or_else(|| unsound(&gradients.globals, sound))
         .map(|group| Fault::Gradient(group.to_owned()))
 }
 
+/// Checks that all numbers of the start are finite.
+///
+/// # Errors
+/// [`TrainError::Start`] names the first group with a number that is not finite.
 pub(super) fn check_start(parameters: &Parameters) -> Result<(), TrainError> {
     match unsound(&parameters.gaussians, f32::is_finite).or_else(|| unsound(&parameters.globals, f32::is_finite)) {
         None => Ok(()),
@@ -109,8 +113,11 @@ pub(super) fn check_start(parameters: &Parameters) -> Result<(), TrainError> {
     }
 }
 
-/// Checks that the groups of `parameters` are those that the model describes, in its order: learning rates go by that
+/// Checks that the groups of `parameters` are those of the model, in its order: learning rates are matched by that
 /// order.
+///
+/// # Errors
+/// [`TrainError::Groups`] when they differ.
 pub(super) fn check_groups(
     model: &'static str,
     parameters: &Parameters,
@@ -128,7 +135,10 @@ pub(super) fn check_groups(
     }
 }
 
-/// Checks that some pixel of some view counts.
+/// Checks that some pixel of some view has a positive weight and a value.
+///
+/// # Errors
+/// [`TrainError::NoPixels`] when none has.
 pub(super) fn check_pixels(views: &[View]) -> Result<(), TrainError> {
     let counts = |view: &View| {
         (0..view.image.plane_len())

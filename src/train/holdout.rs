@@ -8,13 +8,13 @@ use std::borrow::Cow;
 /// Side of a held-out tile, pixels: several times the SSIM window, so that its inside is hardly affected by trained
 /// pixels.
 const TILE: usize = 24;
-/// Relative progress that counts.
+/// Least relative decrease of the held-out loss that counts as progress.
 const PROGRESS: f64 = 1e-3;
 
-/// End of a run, by the held-out tiles.
+/// Result of early stopping at the end of a training.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct EarlyStop {
-    /// Steps done.
+    /// Number of steps done.
     pub steps: usize,
     /// Step of the state that is kept.
     pub best_step: usize,
@@ -22,6 +22,7 @@ pub struct EarlyStop {
     pub best_l1: Option<f64>,
 }
 
+/// Held-out pixels of all views, their latest losses, and the best state so far.
 pub(super) struct Holdout {
     held: Vec<Vec<u32>>,
     losses: Vec<Option<f64>>,
@@ -31,7 +32,7 @@ pub(super) struct Holdout {
     keep_from: usize,
 }
 
-/// State of early stopping; which tiles are held out follows from the seed.
+/// State of early stopping. The held-out tiles are not part of it: they follow from the seed.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(super) struct HoldoutState<'a> {
     losses: Cow<'a, [Option<f64>]>,
@@ -46,13 +47,13 @@ impl HoldoutState<'_> {
         self.losses.len()
     }
 
-    /// The best parameters, if an epoch had some.
+    /// Best parameters so far; `None` before the first epoch that was compared.
     pub(super) fn parameters(&self) -> Option<&Parameters> {
         self.best.as_ref().map(|(_, _, parameters)| &**parameters)
     }
 }
 
-/// A number from 0 to 1 that depends on the tile alone.
+/// A pseudo-random number from 0 to 1 that depends only on seed and tile.
 fn tile_draw(seed: u64, view: usize, column: usize, row: usize) -> f32 {
     let mut h = seed ^ (view as u64) << 40 ^ (column as u64) << 20 ^ row as u64;
     h = (h ^ (h >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -115,12 +116,13 @@ impl Holdout {
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Notes the loss of a view; one that is no number would pass for the best.
+    /// Records the loss of a view; drops one that is not finite, which would pass for the best.
     pub(super) fn record(&mut self, view: usize, loss: Option<f64>) {
         self.losses[view] = loss.filter(|loss| loss.is_finite());
     }
 
-    /// After every epoch: is this the best state so far?
+    /// At the end of an epoch, keeps `parameters` if their held-out losses are the best so far; counts epochs without
+    /// progress.
     pub(super) fn epoch_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
         if self.patience == 0 || !step.is_multiple_of(views) || step < self.keep_from {
             return;
@@ -145,10 +147,12 @@ impl Holdout {
         Some(losses.iter().sum::<f64>() / losses.len() as f64)
     }
 
+    /// True if training should stop: `patience` epochs have passed without progress.
     pub(super) fn stop(&self) -> bool {
         self.patience > 0 && self.epochs_without >= self.patience
     }
 
+    /// Result of early stopping after `steps` steps.
     pub(super) fn summary(&self, steps: usize) -> EarlyStop {
         match &self.best {
             Some((step, loss, _)) => EarlyStop {
@@ -164,13 +168,13 @@ impl Holdout {
         }
     }
 
-    /// The states' own losses, for tests.
+    /// Latest loss of each view, for tests.
     #[cfg(test)]
     fn losses(&self) -> &[Option<f64>] {
         &self.losses
     }
 
-    /// The state, borrowed.
+    /// State of early stopping, borrowed.
     pub(super) fn state(&self) -> HoldoutState<'_> {
         let best = self.best.as_ref();
         HoldoutState {
@@ -181,7 +185,7 @@ impl Holdout {
         }
     }
 
-    /// Restores a state.
+    /// Restores the state of early stopping.
     pub(super) fn restore(&mut self, state: HoldoutState) {
         self.losses = state.losses.into_owned();
         self.best = state
@@ -191,6 +195,7 @@ impl Holdout {
         self.keep_from = state.keep_from;
     }
 
+    /// Best parameters; `None` if no epoch was compared.
     pub(super) fn into_best(self) -> Option<Parameters> {
         self.best.map(|(_, _, parameters)| parameters)
     }

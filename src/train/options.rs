@@ -13,9 +13,10 @@ use crate::trace::SunVisibility;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainOptions {
-    /// Steps, one view each; at most. 100 in `fast`, 1000 in `accurate`.
+    /// Largest number of steps, one view each. 100 in `fast`, 1000 in `accurate`.
     pub iterations: usize,
-    /// Epochs, passes over all views, at most: a scene of few views needs fewer steps. 10 in `fast`, 100 in `accurate`.
+    /// Largest number of epochs, passes over all views: a scene of few views needs fewer steps. 10 in `fast`, 100 in
+    /// `accurate`.
     pub epochs: usize,
     /// First learning rate of positions, ground sampling distances per step: 0.002 in `accurate`, because level ground
     /// gets rougher with every step that moves it, 0.04 for objects, which start from a hull.
@@ -25,28 +26,29 @@ pub struct TrainOptions {
     pub depth_normal_weight: f32,
     /// Weight of shadow consistency; 0 is off. 0.2 for ground, 0 for objects, which have no zenith.
     pub consistency_weight: f32,
-    /// Steps between two passes of shadow consistency, which weigh that much more: 16 in `fast`, 4 in `accurate`.
+    /// Steps between two passes of shadow consistency, each with a weight larger by this factor: 16 in `fast`, 4 in
+    /// `accurate`.
     pub consistency_every: usize,
     /// Steps of a view that share one trace of its light; gradients go back along the light on the step that traces. 2
     /// in `fast`, 1 in `balanced`.
     pub light_every: usize,
-    /// While a Gaussian's light hardly changes the view's image, it takes part in one trace of so many; 1: in all. 8
-    /// for ground, 1 for objects.
+    /// Number of traces of which a Gaussian takes part in one while its light hardly changes the view's image; 1: in
+    /// all. 8 for ground, 1 for objects.
     pub negligible_light_every: usize,
     /// Search for the Gaussians between a Gaussian and the sun: `plane`, grids on the plane normal to the sun, or
     /// `bvh`, the bounding volume hierarchy, which takes half as long again and gives the same light to 0.002.
     pub sun_visibility: SunVisibility,
-    /// True if gradients of light reach the occluders; without them only the start of rays moves. Off in the ablation;
-    /// this part has the largest effect.
+    /// True if gradients of light reach the occluders; without them only the origins of rays move. Off in the ablation,
+    /// in which it has the largest effect.
     pub occluder_gradients: bool,
     /// Share of the steps spent on images of half size, at the beginning; 0 is off. 0.4 for ground, 0.15 for objects.
     pub pyramid_share: f32,
     /// Epochs without progress on held-out tiles after which training stops; 0 is never, and all pixels are trained on.
     /// 0 in `fast`, 2 in the ablation.
     pub patience: usize,
-    /// Density control.
+    /// Options of density control.
     pub density: DensityOptions,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[serde(skip)]
     pub seed: u64,
     /// Ground sampling distance, metres.
@@ -58,9 +60,9 @@ pub struct TrainOptions {
     /// Learning rate of opacity logits.
     #[serde(skip)]
     pub opacity_rate: f32,
-    /// Steps from which on opacities, log scales and features have their full learning rates. Shorter trainings raise
-    /// them by the root of the ratio, and more below a quarter of it, at most eightfold, since the distance to cover is
-    /// the same. 0 never does.
+    /// Number of steps from which on opacities, log scales and features have their own learning rates. A shorter
+    /// training raises these rates by the root of the ratio of steps, more steeply below a quarter of that number, and
+    /// at most eightfold, because the parameters have as far to go. 0 disables this.
     #[serde(skip)]
     pub own_rate_steps: usize,
     /// Weight of the smoothness of a model's first feature between neighbours on one surface
@@ -112,7 +114,7 @@ const SHORT_SHARE: f32 = 0.25;
 const LEAST_BETA1: f32 = 0.7;
 
 impl TrainOptions {
-    /// Steps of a training over those from which on it is no longer short; at least one where no rates are changed.
+    /// Ratio of the steps to those below which a training is short; one if `own_rate_steps` is 0.
     fn shortness(&self) -> f32 {
         let short = SHORT_SHARE * self.own_rate_steps as f32;
         match short > 0.0 {
@@ -121,17 +123,17 @@ impl TrainOptions {
         }
     }
 
-    /// Factor on the learning rates of opacities, log scales and features: the root of `own_rate_steps` over the steps,
-    /// and in a short training steeper, by the power of three quarters; 1 to [`MOST_RATE_FACTOR`] (docs/lab/start.md,
-    /// by ablation).
+    /// Factor on the learning rates of opacities, log scales and features, 1 to [`MOST_RATE_FACTOR`]: the root of
+    /// `own_rate_steps` over the steps, and in a short training the power of three quarters (docs/lab/start.md, by
+    /// ablation).
     pub(super) fn rate_factor(&self) -> f32 {
         let root = (self.own_rate_steps as f32 / self.iterations.max(1) as f32).sqrt();
         let steeper = self.shortness().min(1.0).powf(-0.25);
         (root * steeper).clamp(1.0, MOST_RATE_FACTOR)
     }
 
-    /// Decay of Adam's first moment per step. Its memory of ten steps is a tenth and more of a short training, which
-    /// would follow outdated gradients; there memory is a fortieth of the steps, three at least.
+    /// Decay of Adam's first moment per step. The default remembers ten steps; in a short training these are a large
+    /// part, and their gradients are outdated. There the memory shrinks in proportion to the steps, to three at least.
     pub(super) fn beta1(&self) -> f32 {
         match self.shortness() < 1.0 {
             true => (1.0 - (1.0 - BETA1) / self.shortness()).max(LEAST_BETA1),
@@ -139,7 +141,7 @@ impl TrainOptions {
         }
     }
 
-    /// These options with the steps that a scene of `views` views gets.
+    /// These options with at most `epochs` steps per view, for `views` views.
     pub fn for_views(mut self, views: usize) -> Self {
         self.iterations = self.iterations.min(self.epochs.saturating_mul(views));
         self

@@ -38,8 +38,8 @@ impl Pyramid {
         }
     }
 
-    /// Makes the coarser images of `views`, which have their training weights, or drops them, according to the
-    /// `fraction` of training that is done.
+    /// Makes the coarser images of `views`, which have their training weights, or drops them, depending on `fraction`,
+    /// the share of training done, 0 to 1.
     pub(super) fn follow(&mut self, views: &[View], fraction: f32) {
         if fraction >= self.share {
             self.coarse = Vec::new();
@@ -48,7 +48,7 @@ impl Pyramid {
         }
     }
 
-    /// The level of view `index` of `views`.
+    /// The level of view `index` of `views` to train on now.
     pub(super) fn level<'a>(&'a self, views: &'a [View], index: usize) -> PyramidLevel<'a> {
         let coarse = self.coarse.get(index);
         PyramidLevel {
@@ -58,7 +58,7 @@ impl Pyramid {
     }
 }
 
-/// A view with pixels averaged by `factor × factor`; a coarse pixel has the least weight of its parts.
+/// A view whose pixels are means of `factor × factor` ones; a coarse pixel has the least weight of its parts.
 fn coarser(view: &View, factor: usize) -> View {
     let image = view.image.downscaled(factor);
     let mut weight = vec![1.0f32; image.plane_len()];

@@ -11,19 +11,19 @@ mod surface;
 
 use std::time::Instant;
 
-/// The largest error seen, and where.
+/// The largest error of a form, with its arguments.
 #[derive(Debug, Clone, Default)]
 pub struct Worst {
     /// The error, as defined in its row.
     pub error: f64,
-    /// Arguments of that error.
+    /// Arguments of the largest error.
     pub at: String,
-    /// The first place where the result was no finite number.
+    /// Arguments of the first error that was not finite.
     pub broken: Option<String>,
 }
 
 impl Worst {
-    /// Notes an error and where it was.
+    /// Records an error; `at` describes its arguments.
     pub fn see(&mut self, error: f64, at: impl FnOnce() -> String) {
         if !error.is_finite() {
             self.broken.get_or_insert_with(at);
@@ -42,34 +42,34 @@ impl Worst {
     }
 }
 
-/// A form's errors.
+/// Largest errors of one form of a formula.
 #[derive(Debug, Clone, Default)]
 pub struct Errors {
     /// Largest error of the value.
     pub value: Worst,
-    /// Largest error of the gradient; none where the formula has none or leaves it to others.
+    /// Largest error of the gradient; `None` where the formula has no gradient or another row measures it.
     pub gradient: Option<Worst>,
 }
 
-/// One formula.
+/// One formula with its errors, limits and cost.
 #[derive(Debug, Clone)]
 pub struct Row {
     /// Name of the formula.
     pub formula: &'static str,
     /// The tested domain, and the reference of the error.
     pub domain: &'static str,
-    /// The form in the code.
+    /// Errors of the form in the code.
     pub robust: Errors,
     /// Largest errors of value and gradient allowed.
     pub limit: (f64, f64),
-    /// The naive form.
+    /// Errors of the naive form.
     pub naive: Errors,
     /// Time of the robust form over that of the naive one, where they were timed.
     pub cost: Option<f64>,
 }
 
 impl Row {
-    /// The reason why the formula fails its limit, if it does.
+    /// Message if the formula exceeds a limit; `None` if it keeps both.
     pub fn fault(&self) -> Option<String> {
         let exceeds = |worst: &Worst, limit: f64| worst.broken.is_some() || worst.error > limit;
         if exceeds(&self.robust.value, self.limit.0) {
@@ -83,7 +83,7 @@ impl Row {
         gradient.map(|worst| format!("{}: gradient {}", self.formula, worst.text()))
     }
 
-    /// The row of the table.
+    /// Row of the table, in Markdown.
     pub fn markdown(&self) -> String {
         let gradient = |errors: &Errors| errors.gradient.as_ref().map_or_else(|| "–".to_owned(), Worst::text);
         let cost = self.cost.map_or_else(|| "–".to_owned(), |ratio| format!("{ratio:.2}"));
@@ -99,7 +99,7 @@ impl Row {
     }
 }
 
-/// All formulas; with `timed`, costs are measured too.
+/// Measures all formulas; with `timed`, also their costs.
 pub fn rows(timed: bool) -> Vec<Row> {
     let mut rows = scalar::rows(timed);
     rows.extend(geometry::rows(timed));
@@ -131,7 +131,7 @@ fn ratio(timed: bool, mut a: impl FnMut(), mut b: impl FnMut()) -> Option<f64> {
     Some(least_a / least_b)
 }
 
-/// Applies two functions to the same million numbers: time of the first over that of the second.
+/// Applies two functions to the same numbers from `low` to `high`: time of the first over that of the second.
 fn ratio_over(timed: bool, low: f32, high: f32, a: impl Fn(f32) -> f32, b: impl Fn(f32) -> f32) -> Option<f64> {
     let inputs: Vec<f32> = steps(low.into(), high.into(), 1 << 18).map(|x| x as f32).collect();
     let (mut first, mut second) = (inputs.clone(), inputs.clone());

@@ -1,4 +1,4 @@
-//! Images as large as those of a satellite, of which next to nothing is on the disk: sparse GeoTIFFs in tiles, with
+//! Images as large as those of a satellite that take hardly any space on the disk: sparse GeoTIFFs in tiles, with
 //! rational cameras.
 
 use gdal::raster::{Buffer, RasterCreationOptions};
@@ -7,7 +7,8 @@ use heliosplat_rpc::Rpc;
 use heliosplat_rpc::write::gdal_domain;
 use std::path::Path;
 
-/// Writes an image of `size_px` by `size_px` pixels of 16 bits in `bands` bands, of which no pixel is stored.
+/// Writes an image of `size_px` by `size_px` pixels of 16 bits in `bands` bands without storing any pixel; returns it
+/// open for writing.
 pub fn empty(path: &Path, size_px: usize, bands: usize, rpc: &Rpc) -> Dataset {
     let driver = DriverManager::get_driver_by_name("GTiff").expect("GDAL writes GeoTIFF");
     let options = ["TILED=YES", "SPARSE_OK=TRUE", "BIGTIFF=YES", "INTERLEAVE=PIXEL"];
@@ -21,8 +22,8 @@ pub fn empty(path: &Path, size_px: usize, bands: usize, rpc: &Rpc) -> Dataset {
     image
 }
 
-/// Puts every image of a folder into the middle of a canvas of `size_px` by `size_px` pixels in another folder, with
-/// all that lies beside it. `rpc` reads the camera of an image.
+/// Puts every image of a folder into the middle of a canvas of `size_px` by `size_px` pixels in another folder, and
+/// copies all other files. `rpc` reads the camera of an image.
 pub fn scene(from: &Path, to: &Path, size_px: usize, rpc: &dyn Fn(&Path) -> Rpc) {
     std::fs::create_dir_all(to).expect("made");
     for entry in std::fs::read_dir(from).expect("listable").flatten() {

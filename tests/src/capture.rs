@@ -14,16 +14,17 @@ pub const SIZE: usize = 20;
 /// Bands of the image: three colours and coverage.
 pub const BANDS: usize = 4;
 
-/// The values of all groups of a table, in f64.
+/// Values of all groups of a table, in f64.
 pub type Flat = Vec<Vec<f64>>;
 
-/// A table in f64.
+/// Copies the values of a table to f64.
 pub fn flat(table: &Table) -> Flat {
     let wide = |values: &Vec<f32>| values.iter().map(|&v| f64::from(v)).collect();
     table.groups.iter().map(|g| wide(&g.values)).collect()
 }
 
-/// Positions, sizes, rotations and opacities that fit into the image; `uniform` draws between two bounds.
+/// Fills a table with random positions, sizes, rotations and opacities that fit into the image; `uniform` draws a
+/// number between two bounds.
 pub fn scatter(gaussians: &mut Table, uniform: &mut dyn FnMut(f32, f32) -> f32) {
     for i in 0..gaussians.count {
         for k in 0..3 {
@@ -50,7 +51,7 @@ pub fn camera() -> (ProjectiveCamera, Vector3<f64>) {
     (camera, Vector3::new(eye.x, eye.y, eye.z))
 }
 
-/// The Gaussians of a flat table, without colours.
+/// Gaussians of the reference from a flat table, without colours.
 pub fn reference_gaussians(flat: &Flat) -> Vec<Gaussian> {
     (0..flat[OPACITY].len())
         .map(|i| Gaussian {
@@ -63,8 +64,8 @@ pub fn reference_gaussians(flat: &Flat) -> Vec<Gaussian> {
         .collect()
 }
 
-/// The reference's image of Gaussians whose albedos are the colours that are seen, pixel after pixel: red, green, blue,
-/// coverage.
+/// Image by the reference, pixel after pixel: red, green, blue, coverage. The albedos of the Gaussians are their
+/// colours.
 pub fn reference_values(gaussians: &[Gaussian], camera: &ProjectiveCamera, background: [f32; 3]) -> Vec<f64> {
     let vec = |x: Vec3| Vector3::new(f64::from(x.x), f64::from(x.y), f64::from(x.z));
     let four = |x: Vec3, c: f32| [f64::from(x.x), f64::from(x.y), f64::from(x.z), f64::from(c)];
@@ -92,7 +93,8 @@ pub fn reference_values(gaussians: &[Gaussian], camera: &ProjectiveCamera, backg
     values.collect()
 }
 
-/// The engine's image in the same order, and the gradients of the `functional` of it (a weight for every value).
+/// Image by the engine, pixel after pixel (red, green, blue, coverage), and the gradients of its weighted sum.
+/// `functional` has a weight for every value of the image.
 pub fn engine_values(
     model: &dyn SceneModel,
     context: Context,
@@ -116,8 +118,8 @@ pub fn engine_values(
     (values, grads)
 }
 
-/// A network of two hidden layers of `width` units, the inputs joined in front of the second; weights
-/// `[input][output]`, then biases.
+/// Outputs of a network of two hidden layers of `width` units with leaky rectifiers; the second layer gets the inputs
+/// too. `weights` has for each layer its weights `[input][output]`, then its biases.
 pub fn network(weights: &[f64], inputs: &[f64], width: usize, outputs: usize) -> Vec<f64> {
     let mut from = 0;
     let mut layer = |into: &[f64], outputs: usize| -> Vec<f64> {

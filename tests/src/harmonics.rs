@@ -21,7 +21,7 @@ fn legendre(l: usize, m: usize, x: f64) -> f64 {
     at
 }
 
-/// The function of degree `l` and order `m` in the unit direction `d`.
+/// Real spherical harmonic of degree `l` and order `m`, from `-l` to `l`, in the unit direction `d`.
 pub fn harmonic(l: usize, m: i32, d: &Vector3<f64>) -> f64 {
     let order = m.unsigned_abs() as usize;
     let factorial = |n: usize| (1..=n).map(|k| k as f64).product::<f64>();
@@ -34,7 +34,7 @@ pub fn harmonic(l: usize, m: i32, d: &Vector3<f64>) -> f64 {
     }
 }
 
-/// All functions to degree `degree`, by degree, then by order.
+/// All real spherical harmonics up to `degree` in the unit direction `d`, by degree, then by order.
 pub fn harmonics(degree: usize, d: &Vector3<f64>) -> Vec<f64> {
     (0..=degree)
         .flat_map(|l| (-(l as i32)..=l as i32).map(move |m| harmonic(l, m, d)))

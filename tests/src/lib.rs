@@ -1,5 +1,5 @@
-//! Common parts of the end-to-end tests: a slow, obvious f64 reference of the engine's forward pass, and the places of
-//! programs and files.
+//! Common parts of the end-to-end tests: a slow, obvious f64 reference of the engine's forward pass, small scenes and
+//! captures, readers to fuzz, and the program itself.
 
 pub mod account;
 pub mod canvas;

@@ -6,24 +6,24 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// A finished child.
+/// A finished child process with its output, memory and time.
 #[derive(Debug)]
 pub struct Measured {
-    /// Its exit code; `None` when a signal ended it.
+    /// Exit code; `None` when a signal ended the child.
     pub code: Option<i32>,
-    /// Its stdout.
+    /// Text on stdout.
     pub stdout: String,
-    /// Its stderr.
+    /// Text on stderr.
     pub stderr: String,
-    /// The most memory it held, bytes.
+    /// Peak memory, bytes.
     pub peak_bytes: u64,
     /// Bytes read from files, its own executable among them.
     pub read_bytes: u64,
-    /// Its wall time.
+    /// Wall time.
     pub took: Duration,
 }
 
-/// Runs the program; it is killed after `limit`.
+/// Runs the program `heliosplat`; it is killed after `limit`.
 pub fn run<S: AsRef<OsStr>>(arguments: &[S], limit: Duration) -> Measured {
     run_program(binary(), arguments, limit)
 }
@@ -73,7 +73,7 @@ pub fn run_program<S: AsRef<OsStr>>(program: &Path, arguments: &[S], limit: Dura
 )]
 fn ended(id: u32) -> Option<(i32, u64, u64)> {
     let mut status = 0;
-    // Before the child is waited for: then its counters are gone.
+    // Read before the child is waited for, because its counters are gone afterwards.
     let io = std::fs::read_to_string(format!("/proc/{id}/io")).unwrap_or_default();
     let read = io.lines().find_map(|line| line.strip_prefix("rchar: ")?.parse().ok());
     // SAFETY: `rusage` is a plain structure of numbers, for which zeros are valid.

@@ -23,7 +23,8 @@ const NUMBERS: [&str; 16] = [
     "1_000",
 ];
 
-/// About `count` damaged copies of `input`, then some that are long or deep.
+/// Copies of `input` with damage: empty and extended ones, `count` with random damage, one for each number of the text,
+/// and long or deep ones.
 pub fn mutations(input: &[u8], seed: u64, count: usize) -> Vec<Vec<u8>> {
     let mut random = Pcg32::seed_from_u64(seed);
     let mut out = vec![

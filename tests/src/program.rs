@@ -4,10 +4,9 @@ use assert_cmd::Command;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-/// The program, built once per test process, since cargo does not build binaries of other packages for a test; that
-/// costs nothing when it is up to date. `HELIOSPLAT_BIN` names another one. It is built together with an example, so
-/// that cargo selects the features that dependencies have in tests; else it would compile the whole workspace a second
-/// time.
+/// The program, built once per test process, because cargo does not build binaries of other packages for a test.
+/// `HELIOSPLAT_BIN` names another one. It is built together with an example, so that cargo selects the features that
+/// dependencies have in tests; else it would compile the whole workspace a second time.
 static BINARY: LazyLock<PathBuf> = LazyLock::new(|| match std::env::var_os("HELIOSPLAT_BIN") {
     Some(path) => path.into(),
     None => {
@@ -23,8 +22,8 @@ static BINARY: LazyLock<PathBuf> = LazyLock::new(|| match std::env::var_os("HELI
 /// them.
 static EXAMPLES: LazyLock<Vec<PathBuf>> = LazyLock::new(|| build(&["--examples"]));
 
-/// Builds programs of the workspace, which must be some. The packages are those of the tests, so that nothing is
-/// compiled twice.
+/// Builds at least one program of the workspace and returns the paths. The packages are those of the tests, so that
+/// nothing is compiled twice.
 fn build(which: &[&str]) -> Vec<PathBuf> {
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
@@ -53,7 +52,7 @@ fn build(which: &[&str]) -> Vec<PathBuf> {
     executables
 }
 
-/// A program of the folder `examples` with its arguments.
+/// Command of a program of the folder `examples` with its arguments.
 pub fn example<S: AsRef<std::ffi::OsStr>>(name: &str, arguments: &[S]) -> Command {
     let found = EXAMPLES
         .iter()
@@ -63,12 +62,12 @@ pub fn example<S: AsRef<std::ffi::OsStr>>(name: &str, arguments: &[S]) -> Comman
     command
 }
 
-/// Path of the binary.
+/// Path of the program `heliosplat`.
 pub fn binary() -> &'static Path {
     &BINARY
 }
 
-/// The program with its arguments.
+/// Command of the program `heliosplat` with its arguments, without the variables for logs and SIMD.
 pub fn heliosplat<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> Command {
     let mut command = Command::new(binary());
     command
@@ -78,20 +77,20 @@ pub fn heliosplat<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> Command {
     command
 }
 
-/// Runs the program with `--json`, which must succeed, and parses the one object it prints.
+/// Runs the program with `--json` and parses the one object that it prints; panics when it fails.
 pub fn json<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> serde_json::Value {
     let output = heliosplat(arguments).arg("--json").assert().success();
     serde_json::from_slice(&output.get_output().stdout).expect("one JSON object on stdout")
 }
 
-/// Synthesises the tiny site as four views see it.
+/// Synthesises a scene of the tiny site with four views in `folder`.
 pub fn tiny_scene(folder: &Path) {
     let out = folder.display().to_string();
     let words = "synth satellite --site tiny --seed 5 --views 4 --out";
     json(&words.split(' ').chain([out.as_str()]).collect::<Vec<_>>());
 }
 
-/// Runs the program, which must fail with this exit code; returns its one line of error.
+/// Runs the program and returns its one line of error; panics when it does not fail with `exit_code`.
 pub fn fault<S: AsRef<std::ffi::OsStr>>(arguments: &[S], exit_code: i32) -> String {
     let assert = heliosplat(arguments).assert().code(exit_code);
     let output = assert.get_output();

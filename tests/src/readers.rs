@@ -20,14 +20,14 @@ use heliosplat_satellite::run_file::RunFile;
 use heliosplat_scene as scene;
 use std::collections::BTreeMap;
 
-/// A reader and where it begins.
+/// A reader of outside bytes, with inputs that it accepts.
 #[derive(Clone, Copy)]
 pub struct Reader {
-    /// Its name, which is also that of its fuzz target.
+    /// Name of the reader and of its fuzz target.
     pub name: &'static str,
-    /// Reads bytes, drops the result, and returns whether they were accepted.
+    /// Reads bytes and drops the result; true if they were accepted.
     pub read: fn(&[u8]) -> bool,
-    /// Sound inputs.
+    /// Returns sound inputs, from which damaged ones are made.
     pub corpus: fn() -> Vec<Vec<u8>>,
 }
 
@@ -120,7 +120,8 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// RPB, `_RPC.TXT`, DIMAP, Maxar XML, JSON, `.geom` and fixed width: by content, and each by itself.
+/// Reads cameras: RPB, `_RPC.TXT`, DIMAP, Maxar XML, JSON, `.geom` and fixed width, first by content, then by each
+/// reader.
 pub fn camera_text(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let found = read::rpc_from_text("a file", &text);
@@ -143,14 +144,14 @@ pub fn camera_text(bytes: &[u8]) -> bool {
     found.is_ok()
 }
 
-/// IMD, DIMAP, Maxar XML, Sat-NeRF JSON, STAC and metadata texts.
+/// Reads acquisitions: IMD, DIMAP, Maxar XML, Sat-NeRF JSON, STAC and metadata texts.
 pub fn acquisition_text(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let _ = (acquisition::stac(&text), acquisition::satnerf_json(&text));
     acquisition::from_text("a file", &text).is_some()
 }
 
-/// Items of GDAL's metadata domains, one `name=value` a line, as a camera and as an acquisition.
+/// Reads items of GDAL's metadata domains, one `name=value` a line, as a camera and as an acquisition.
 pub fn metadata_items(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let pairs = text.lines().filter_map(|line| line.split_once('='));
@@ -161,17 +162,17 @@ pub fn metadata_items(bytes: &[u8]) -> bool {
     read::gdal_domain(&items).is_ok()
 }
 
-/// `scene.toml`.
+/// Reads a `scene.toml`.
 pub fn scene_toml(bytes: &[u8]) -> bool {
     scene::images_listed(&text(bytes)).is_ok()
 }
 
-/// `run.toml`.
+/// Reads the `run.toml` of a satellite run.
 pub fn run_toml(bytes: &[u8]) -> bool {
     RunFile::parse(&text(bytes)).is_ok()
 }
 
-/// `--set`, one `key=value` a line.
+/// Reads `--set` pairs, one `key=value` a line.
 pub fn settings(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let pairs = text.lines().take(16).filter_map(|line| line.split_once('='));
@@ -179,12 +180,12 @@ pub fn settings(bytes: &[u8]) -> bool {
     SatelliteConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &set, 1).is_ok()
 }
 
-/// `model.ply`, of a model of four bands.
+/// Reads the `model.ply` of a satellite model of four bands.
 pub fn model_ply(bytes: &[u8]) -> bool {
     ply::decode(bytes, &model()).is_ok()
 }
 
-/// `model.json`; with the shared parameters it names, the model can be made.
+/// Reads the `model.json` of a satellite model, and makes the model from its options.
 pub fn model_json(bytes: &[u8]) -> bool {
     match ModelFile::parse(&text(bytes)) {
         Ok(file) => {
@@ -195,8 +196,7 @@ pub fn model_json(bytes: &[u8]) -> bool {
     }
 }
 
-/// `transforms.json` of a capture in a folder with `r_0.png` to `r_2.png`; with the sizes of images, the cameras can be
-/// made.
+/// Reads the `transforms.json` of a capture in a folder with `r_0.png` to `r_2.png`, and makes its cameras.
 pub fn transforms_json(bytes: &[u8]) -> bool {
     match transforms::parse(&captures::folder().join("transforms.json"), bytes) {
         Ok(frames) => {
@@ -211,7 +211,7 @@ pub fn transforms_json(bytes: &[u8]) -> bool {
     }
 }
 
-/// `model.json` of an object; with the shared parameters it names, the model can be made.
+/// Reads the `model.json` of an object, and makes the model from its options.
 pub fn object_json(bytes: &[u8]) -> bool {
     let file = std::str::from_utf8(bytes)
         .ok()
@@ -219,22 +219,22 @@ pub fn object_json(bytes: &[u8]) -> bool {
     file.is_some_and(|file| file.kind.model().feature_groups().len() > 1)
 }
 
-/// `model.ply` of an object, of a model of one light at a time.
+/// Reads the `model.ply` of an object in a model of one light at a time.
 pub fn object_ply(bytes: &[u8]) -> bool {
     heliosplat_exchange::splat_ply::decode(bytes, captures::olat().feature_groups()).is_ok()
 }
 
-/// `run.toml` of an object.
+/// Reads the `run.toml` of an object.
 pub fn object_toml(bytes: &[u8]) -> bool {
     ObjectRun::parse(&text(bytes)).is_ok()
 }
 
-/// The manifest of a batch.
+/// Reads the manifest of a batch.
 pub fn batch_toml(bytes: &[u8]) -> bool {
     Manifest::parse(&text(bytes)).is_ok()
 }
 
-/// Maxar's `.TIL`, and the files that a DIMAP lists.
+/// Reads Maxar's `.TIL`, and the files that a DIMAP lists.
 pub fn tile_list(bytes: &[u8]) -> bool {
     let text = text(bytes);
     let listed = read::data_files(&text).is_some();

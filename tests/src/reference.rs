@@ -3,12 +3,12 @@
 
 use nalgebra::{Matrix2, Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
 
-/// One Gaussian.
+/// One Gaussian of the satellite model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gaussian {
     /// Centre, metres.
     pub position: Vector3<f64>,
-    /// Log standard deviations.
+    /// Log standard deviations along the own axes, of metres.
     pub log_scale: Vector3<f64>,
     /// Raw quaternion `x, y, z, w`.
     pub rotation: [f64; 4],
@@ -18,40 +18,40 @@ pub struct Gaussian {
     pub albedo: Vec<f64>,
 }
 
-/// A projective camera: `col = (u·p + u0)/(1 + w·p)`.
+/// A projective camera: `col = (u·p + u0)/(1 + w·p)`, `row = (v·p + v0)/(1 + w·p)`, pixels, with `p` in metres.
 #[derive(Debug, Clone)]
 pub struct Camera {
-    /// Column numerator.
+    /// Numerator of the column: `u` and `u0`.
     pub u: [f64; 4],
-    /// Row numerator.
+    /// Numerator of the row: `v` and `v0`.
     pub v: [f64; 4],
-    /// Denominator.
+    /// Denominator of column and row.
     pub w: Vector3<f64>,
-    /// Depth axis.
+    /// Unit vector along which depth grows.
     pub axis: Vector3<f64>,
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
 }
 
-/// The light: a direction toward it (infinitely far).
+/// Unit vector toward the light, which is infinitely far.
 pub type Sun = Vector3<f64>;
 
-/// Values of a pixel.
+/// Composited values of a pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pixel {
     /// Composited albedo, and behind it near-surface light.
     pub albedo: Vec<f64>,
-    /// Composited visibility.
+    /// Composited visibility of the light, 0 to 1.
     pub visibility: f64,
-    /// Composited normal.
+    /// Composited normal, not of unit length.
     pub normal: Vector3<f64>,
-    /// `Σ w`.
+    /// `Σ w`, 0 to 1.
     pub alpha: f64,
-    /// `Σ w z`.
+    /// `Σ w z`, metres.
     pub depth: f64,
-    /// `Σ w z²`.
+    /// `Σ w z²`, square metres.
     pub depth_square: f64,
     /// True if no splat's alpha is so near the threshold that rounding decides.
     pub is_stable: bool,
@@ -71,7 +71,7 @@ pub struct Splat {
     pub centre: Vector2<f64>,
     /// Inverse covariance, 1/pixels².
     pub conic: Matrix2<f64>,
-    /// Opacity at the centre.
+    /// Opacity at the centre, 0 to 1.
     pub opacity: f64,
     /// Depth of the centre, metres.
     pub depth: f64,
@@ -100,7 +100,8 @@ impl Gaussian {
     }
 }
 
-/// Gaussian number `index` as a camera sees it.
+/// Projects Gaussian number `index`. `filter` is the variance added to the footprint, square pixels; with `antialias`
+/// opacity is dimmed by the growth of the footprint.
 pub fn project(g: &Gaussian, index: usize, camera: &Camera, filter: f64, antialias: bool) -> Splat {
     let p = g.position;
     let (u, v) = (
@@ -190,7 +191,7 @@ fn meeting(ray: &Ray, g: &Gaussian, sun: &Sun) -> Meeting {
     }
 }
 
-/// Transmittance from Gaussian `origin` toward the sun through all others.
+/// Transmittance from Gaussian `origin` toward the sun through all others, 0 to 1.
 pub fn transmittance(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> f64 {
     transmittance_along(gaussians, origin, sun, f64::INFINITY)
 }
@@ -206,14 +207,14 @@ fn transmittance_along(gaussians: &[Gaussian], origin: usize, sun: &Sun, length:
         .product()
 }
 
-/// Transmittance from Gaussian `origin` toward a point light through all others.
+/// Transmittance from Gaussian `origin` toward a point light at `light` (metres) through all others, 0 to 1.
 pub fn transmittance_to_point(gaussians: &[Gaussian], origin: usize, light: &Vector3<f64>) -> f64 {
     let offset = light - gaussians[origin].position;
     transmittance_along(gaussians, origin, &offset.normalize(), offset.norm())
 }
 
 /// Range of [`transmittance`] at the precision of `f32`: occluders at the edge of the threshold may count or not, and
-/// an alpha has the error of its Gaussian's position. `None` where even the ray is uncertain.
+/// an alpha has the error of its Gaussian's position. `None` where rounding may change the ray itself.
 pub fn transmittance_bounds(gaussians: &[Gaussian], origin: usize, sun: &Sun) -> Option<(f64, f64)> {
     let ray = ray(&gaussians[origin], sun);
     if ray.doubtful {
@@ -238,7 +239,8 @@ pub fn transmittance_bounds(gaussians: &[Gaussian], origin: usize, sun: &Sun) ->
     Some((least, most))
 }
 
-/// Every pixel of a view, row by row. `visibility` is each Gaussian's transmittance toward the light.
+/// Renders every pixel of a view, row by row. `visibility` has each Gaussian's transmittance toward the light; `filter`
+/// (square pixels) and `antialias` are those of [`project`].
 pub fn render(gaussians: &[Gaussian], camera: &Camera, visibility: &[f64], filter: f64, antialias: bool) -> Vec<Pixel> {
     let bands = gaussians[0].albedo.len();
     let mut splats: Vec<Splat> = gaussians
@@ -285,7 +287,8 @@ pub fn render(gaussians: &[Gaussian], camera: &Camera, visibility: &[f64], filte
     pixels
 }
 
-/// The composed colour of a pixel: `A (F ⊙ (S + (1 - S) (sky + near))) + b`.
+/// Composed colour of a pixel: `A (F ⊙ (S + (1 - S) (sky + near))) + b`, with the `matrix` `A` (bands × bands, row by
+/// row), the albedo `F`, the visibility `S` and the `offset` `b`.
 pub fn compose(pixel: &Pixel, sky: &[f64], matrix: &[f64], offset: &[f64]) -> Vec<f64> {
     let bands = sky.len();
     let s = pixel.visibility;

@@ -16,7 +16,7 @@ pub use request::Request;
 /// Measures every run without a record, then writes the page of all records of the program.
 ///
 /// # Errors
-/// When the program cannot be run, a command fails that should not, or a file cannot be written.
+/// A sentence with the fault: the program cannot be run, a command fails, or a file cannot be written.
 pub fn write(request: &Request) -> Result<(), String> {
     let bench = bench::Bench::new(request)?;
     let mut records = bench.records()?;

@@ -22,7 +22,7 @@ pub struct View {
     pub tilt: [f64; 2],
     /// Centre of the image east and north of the scene's centre, metres.
     pub centre_m: [f64; 2],
-    /// Bands.
+    /// Number of bands.
     pub bands: usize,
     /// Acquisition time as Sat-NeRF writes it, if any.
     pub date: Option<&'static str>,
@@ -30,25 +30,25 @@ pub struct View {
     pub sun_deg: Option<[f64; 2]>,
     /// True if the GeoTIFF has an RPC.
     pub has_rpc: bool,
-    /// Its content.
+    /// Content of the image.
     pub shows: Shows,
 }
 
 /// Content of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shows {
-    /// Waves of brightness.
+    /// Waves of brightness in columns and rows.
     Waves,
-    /// One value everywhere.
+    /// One value in all pixels and bands.
     Nothing,
-    /// Waves, and one pixel as bright as sixteen bits hold.
+    /// Waves, and one pixel of the largest value of sixteen bits.
     OneGlint,
     /// Waves in the upper half, zeros below.
     Half,
 }
 
 impl View {
-    /// A panchromatic view in full order, tilted by its number.
+    /// A panchromatic view without faults, whose tilt follows from its number.
     pub fn new(number: usize) -> Self {
         let tilts = [[0.0, 0.0], [0.2, 0.05], [-0.1, 0.15], [0.05, -0.2]];
         Self {
@@ -78,7 +78,8 @@ impl View {
         )
     }
 
-    /// Writes the GeoTIFF, and a JSON with all metadata besides the camera if there are any.
+    /// Writes the GeoTIFF, and beside it a JSON with altitudes, camera, date and sun if the view has a date or a sun.
+    /// Returns the path of the GeoTIFF.
     pub fn write(&self, folder: &Path) -> PathBuf {
         let path = folder.join(format!("{}.tif", self.name));
         let rpc: Vec<(String, String)> = if self.has_rpc {
@@ -87,7 +88,7 @@ impl View {
             Vec::new()
         };
         let raster = texture(self.bands, self.shows);
-        // Four bands have names: nothing is made of bands whose names are a guess.
+        // Four bands have names, because nothing is made of bands whose names are a guess.
         let names: &[&str] = match self.bands {
             4 => &["red", "green", "blue", "near_infrared"],
             _ => &[],
@@ -173,14 +174,15 @@ fn texture(bands: usize, shows: Shows) -> Raster {
     raster
 }
 
-/// Writes views into a folder.
+/// Writes the images and JSON files of views into a folder.
 pub fn write_scene(folder: &Path, views: &[View]) {
     for view in views {
         view.write(folder);
     }
 }
 
-/// Writes a single-band altitude raster in UTM 37N with 0.5 m cells.
+/// Writes a single-band altitude raster in UTM 37N with 0.5 m cells, whose upper left corner is at `west_m` and
+/// `north_m`.
 pub fn write_altitudes(path: &Path, raster: &Raster, west_m: f64, north_m: f64) {
     let crs = Crs::from_epsg(32637).expect("UTM 37N");
     let transform = GeoTransform::north_up(west_m, north_m, 0.5);

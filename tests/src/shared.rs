@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-/// A file or folder of the shared material: in `$HELIOSPLAT_SHARED` or in `shared` next to the workspace. Returns
-/// `None` with a message where it is missing; with `HELIOSPLAT_REQUIRE_SHARED=1` that is a failure.
+/// Path of a file or folder of the shared material, in `$HELIOSPLAT_SHARED` or in `shared` next to the workspace. Where
+/// it is missing, the function prints a message and returns `None`; with `HELIOSPLAT_REQUIRE_SHARED=1` it panics.
 pub fn shared(relative: &str) -> Option<PathBuf> {
     let root = match std::env::var_os("HELIOSPLAT_SHARED") {
         Some(root) => PathBuf::from(root),

@@ -1,8 +1,9 @@
-//! Whole small scenes of a terrain with known heights, with faults put in: a plain renderer and exact parallel cameras.
+//! Small scenes of a terrain with known heights and deliberate faults, made by a plain renderer with exact parallel
+//! cameras.
 //!
 //! The terrain is a slope with some buildings, of random albedo, under the sun of each date with cast shadows. Heights
-//! are known at each cell of a quarter of a metre, so that the error of a surface can be compared with the standard
-//! deviation that it states.
+//! are known at each cell of a quarter of a metre, so that the errors of a surface can be compared with its standard
+//! deviations.
 
 use super::scenes::{METRES_PER_DEGREE, parallel_camera};
 use heliosplat::Raster;
@@ -36,14 +37,14 @@ const GSD_M: f64 = 0.5;
 /// Samples of a pixel each way.
 const SAMPLES: usize = 2;
 
-/// Something that is wrong with a scene, or hard in it.
+/// Fault or difficulty of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// Nothing.
+    /// No fault.
     None,
-    /// One camera points tens of pixels away.
+    /// The pointing of one camera is wrong by tens of pixels.
     Pointing,
-    /// One camera is of an image of half the resolution.
+    /// One camera belongs to an image of half the resolution.
     Halved,
     /// One camera counts its rows from below.
     Mirrored,
@@ -53,7 +54,7 @@ pub enum Fault {
     OneImage,
     /// Two images show the same pixels, under their own cameras.
     SamePixels,
-    /// One image is there twice.
+    /// One image exists twice.
     Copied,
     /// All images look from nearly the same direction.
     NoBase,
@@ -71,13 +72,13 @@ pub enum Fault {
     Water,
     /// Bright blobs hide parts of some images.
     Clouds,
-    /// The altitudes that are stated leave out the ground, or a part of it.
+    /// The stated altitudes exclude the ground, or a part of it.
     Altitudes,
     /// Half of the ground repeats itself, as orchards and parking places do.
     Periodic,
-    /// A tower.
+    /// A tower of 20 to 40 m stands in the scene.
     Tower,
-    /// The dates are of other images.
+    /// Each image has a date that is not its own.
     Dates,
     /// A part of each image is saturated.
     Saturated,
@@ -88,7 +89,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// All of them.
+    /// All faults.
     pub const ALL: [Self; 23] = [
         Self::None,
         Self::Pointing,
@@ -258,7 +259,7 @@ impl Terrain {
     }
 }
 
-/// Puts a building somewhere; returns its cells.
+/// Adds a building of `wide` by `high` cells, `tall` metres above the ground, at a random place.
 fn raise(rng: &mut Pcg32, height_m: &mut [f32], albedo: &mut [f32], [wide, high]: [usize; 2], tall: f32) {
     let margin = CELLS / 4;
     let col0 = rng.random_range(margin..CELLS - margin - wide);
@@ -277,9 +278,9 @@ fn raise(rng: &mut Pcg32, height_m: &mut [f32], albedo: &mut [f32], [wide, high]
 /// Parameters of a scene.
 #[derive(Debug, Clone)]
 pub struct SceneRequest {
-    /// Everything random follows from it.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Images.
+    /// Number of images.
     pub views: usize,
     /// Width and height of the images, pixels.
     pub size: usize,
@@ -292,7 +293,7 @@ pub struct SceneRequest {
 }
 
 impl SceneRequest {
-    /// Three to five images with up to two faults.
+    /// Random request: three to five images with up to two faults.
     pub fn of_seed(seed: u64) -> Self {
         let mut rng = Pcg32::seed_from_u64(seed ^ 0x5eed);
         let mut faults: Vec<Fault> = (0..rng.random_range(0..3))
@@ -323,7 +324,7 @@ const DATES: [&str; 5] = [
     "20170312084500",
 ];
 
-/// Hears the warnings of one thread.
+/// Collects the warnings of one thread.
 #[derive(Clone, Default)]
 struct Warnings(Arc<Mutex<Vec<String>>>);
 
@@ -358,22 +359,25 @@ impl Visit for Warnings {
     }
 }
 
-/// Comparison of a surface with the truth.
+/// Errors of a surface against the truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compared {
-    /// Cells that are known.
+    /// Number of known cells.
     pub known: usize,
     /// Shares of them whose error is within one, two and four standard deviations.
     pub within: [f64; 3],
     /// Mean absolute error, metres.
     pub mae_m: f64,
-    /// Median error, metres.
+    /// Median of the signed errors, metres.
     pub median_m: f64,
-    /// Warnings of the scene.
+    /// Warnings of the program, without those that scenes without faults cause too.
     pub warnings: Vec<String>,
 }
 
-/// Makes a scene in a folder and sweeps it; the error of a program that refuses it.
+/// Makes a scene in a folder, sweeps it, and compares the surface with the truth.
+///
+/// # Errors
+/// The message of the program where it refuses the scene.
 pub fn made_and_swept(request: &SceneRequest, folder: &Path) -> Result<Compared, String> {
     let heard = Warnings::default();
     let swept = tracing::subscriber::with_default(heard.clone(), || swept(request, folder));
@@ -411,8 +415,8 @@ fn swept(request: &SceneRequest, folder: &Path) -> Result<Compared, String> {
     Ok(compare(&dsm, &[&terrain, &other], scene.warnings))
 }
 
-/// Compares a surface with the truth. On changed ground both terrains are right: few images do not determine which is
-/// the last.
+/// Compares a surface with the truth. On changed ground both terrains count as true: few images do not determine the
+/// later one.
 fn compare(dsm: &Dsm, terrains: &[&Terrain; 2], warnings: Vec<String>) -> Compared {
     let to_lon_lat = CrsTransform::to_lon_lat(&dsm.grid.crs).expect("a coordinate system");
     let per_longitude = METRES_PER_DEGREE * PLACE[1].to_radians().cos();
@@ -581,7 +585,7 @@ fn spoil(request: &SceneRequest, images: &mut [Raster], tilts: &mut [[f64; 2]], 
             }
             Fault::Water => {
                 for (image, tilt) in images.iter_mut().zip(tilts.iter()) {
-                    // Water lies where it lies in every image.
+                    // The water is at the same ground in every image.
                     let moved = (tilt[0] * 2.0 / GSD_M) as isize;
                     for index in (0..size * size).filter(|i| ((i % size) as isize - moved) < size as isize / 3) {
                         image.values[index] = 200.0 + rng.random_range(-20.0..20.0);
@@ -610,7 +614,7 @@ fn spoil(request: &SceneRequest, images: &mut [Raster], tilts: &mut [[f64; 2]], 
     }
 }
 
-/// Pixels that no ground shows: wedges, another one in each image. Half of the scenes declare zeros missing.
+/// Fills a wedge of each image, at another angle each, with a collar: pixels without ground.
 fn collars(request: &SceneRequest, images: &mut [Raster], rng: &mut Pcg32) {
     let size = request.size as f64;
     let fill = |fault: &Fault| match fault {

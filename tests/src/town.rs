@@ -15,11 +15,11 @@ use std::path::Path;
 pub const ALTITUDES_M: [f64; 2] = [690.0, 730.0];
 /// Width of a plot with one house, metres.
 const PLOT_M: f64 = 40.0;
-/// No roof is higher, no ground lower, metres above the altitude that cameras count from.
+/// Bounds of roofs and ground, metres above the base, the altitude at which the lean of the cameras displaces nothing.
 const HIGHEST_M: f64 = 24.0;
 const LOWEST_M: f64 = -6.0;
 
-/// A pair of images to write.
+/// Parameters of a pair of images.
 #[derive(Debug, Clone, Copy)]
 pub struct Pair {
     /// Width and height of both images, pixels.
@@ -33,7 +33,7 @@ pub struct Pair {
 }
 
 impl Pair {
-    /// A pair at half a metre with a base-to-height ratio of 0.4.
+    /// A pair with pixels of half a metre and a base-to-height ratio of 0.4.
     pub fn new(size_px: usize, centre_deg: [f64; 2]) -> Self {
         Self {
             size_px,
@@ -89,7 +89,7 @@ fn seen(at: [f64; 2], tilt: [f64; 2]) -> f64 {
     while z > LOWEST_M && !below(z) {
         (above, z) = (z, z - 1.0);
     }
-    // Between the last place in the air and the first below the surface.
+    // Bisection between the last point in the air and the first below the surface.
     for _ in 0..6 {
         let middle = 0.5 * (above + z);
         if below(middle) {
@@ -107,7 +107,7 @@ fn seen(at: [f64; 2], tilt: [f64; 2]) -> f64 {
     300.0 + 250.0 * noise + 150.0 * f64::from(u8::from(surface([x, y]) > terrain([x, y]) + 1.0))
 }
 
-/// Altitude above the base at a place, metres.
+/// Altitude of roofs and ground above the base at `at` (east and north of the middle, metres), metres.
 pub fn surface(at: [f64; 2]) -> f64 {
     let plot = at.map(|v| (v / PLOT_M).floor());
     let random = |what: u64| hash(plot.map(|v| v as i64), what);

@@ -10,27 +10,32 @@ use rand_pcg::Pcg64Mcg;
 /// The shape of a roof. Rises are metres above the eaves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Roof {
-    /// Flat behind a parapet of this height (none at 0), with machines and stair houses on large ones.
+    /// Flat behind a parapet of `parapet_m` (none at 0), with machines and stair houses on large roofs.
     Flat { parapet_m: f64 },
     /// Two slopes; the ridge runs along the length.
     Gabled { rise_m: f64 },
     /// Four slopes; a pyramid if the plan is square.
     Hipped { rise_m: f64 },
-    /// Storeys that step back, each of this height, this many above the eaves.
+    /// `tiers` storeys above the eaves, each `tier_m` high and set back from the one below.
     Stepped { tier_m: f64, tiers: u32 },
 }
 
 /// One building.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Building {
+    /// Outline of the walls.
     pub(crate) footprint: Footprint,
     /// Altitude of the ground floor, metres of the scene's frame; walls extend below it, into the ground.
     pub(crate) floor_z: f64,
-    /// Eaves, or flat roof, above the floor, metres.
+    /// Height of the eaves or of the flat roof above the floor, metres.
     pub(crate) eaves_m: f64,
+    /// Shape of the roof.
     pub(crate) roof: Roof,
+    /// Material of the walls.
     pub(crate) wall: Material,
+    /// Material of the roof.
     pub(crate) cover: Material,
+    /// Seed of the structures on the roof and of the textures.
     pub(crate) seed: u64,
 }
 
@@ -46,7 +51,7 @@ impl Building {
         }
     }
 
-    /// Adds the building to a scene.
+    /// Adds the building to the solids of a scene.
     pub(crate) fn build(&self, solids: &mut Solids) {
         let eaves_z = self.floor_z + self.eaves_m;
         let walls = self.finish(self.wall, 1);

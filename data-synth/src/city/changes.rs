@@ -5,7 +5,7 @@ use crate::noise::stream;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 
-/// Buildings with less ground than this do not change, m²: smaller ones are no houses.
+/// Least ground area of a building that changes, m²; smaller buildings are no houses.
 const LEAST_M2: f64 = 30.0;
 
 /// One building's change.
@@ -24,8 +24,8 @@ pub(crate) struct Changes {
 }
 
 impl Changes {
-    /// `share` of the larger buildings change, each on one of the dates `on`. They are spread evenly outward from the
-    /// centre, so that every site has some.
+    /// Lets `share` (0 to 1) of the larger buildings change, each on one of the dates `on`. They are spread evenly
+    /// outward from the centre, so that every site has some.
     pub(super) fn new(seed: u64, buildings: &[Building], share: f64, on: &[usize]) -> Self {
         let mut random = stream(seed, 0xC4A6);
         let area_m2 = |building: &Building| 4.0 * building.footprint.half[0] * building.footprint.half[1];

@@ -27,13 +27,19 @@ pub(crate) enum Outline {
 /// A piece of ground in city coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Zone {
+    /// Centre in city coordinates, metres.
     pub(crate) centre: [f64; 2],
+    /// Half size along the zone's own axes, metres.
     pub(crate) half: [f64; 2],
-    /// Turn of the zone's own axes, radians.
+    /// Angle from the u axis of the city to the zone's own first axis, radians.
     pub(crate) turn_rad: f64,
+    /// Shape of the outline.
     pub(crate) outline: Outline,
+    /// Class of the ground.
     pub(crate) class: Class,
+    /// Material of the ground.
     pub(crate) material: Material,
+    /// Random number of texture and outline.
     pub(crate) seed: u32,
 }
 
@@ -44,7 +50,7 @@ impl Zone {
         [du * cos + dv * sin, dv * cos - du * sin]
     }
 
-    /// Distance outside the outline, negative inside, metres (to a tenth for blobs).
+    /// Distance of a place in city coordinates from the outline, negative inside, metres; approximate for blobs.
     pub(crate) fn distance_m(&self, uv: [f64; 2]) -> f64 {
         let [a, b] = self.local(uv);
         let [l, w] = self.half;
@@ -70,6 +76,7 @@ impl Zone {
 /// A sheet of still water.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pond {
+    /// Outline of the water.
     pub(crate) zone: Zone,
     /// Altitude of the water, metres of the scene's frame.
     pub(crate) level_m: f64,
@@ -80,7 +87,7 @@ pub(crate) struct GroundCover {
     bend: Bend,
     zones: Vec<Zone>,
     by_square: HashMap<(i64, i64), Vec<u32>>,
-    /// The cover between all zones: a junction's asphalt.
+    /// Cover of places outside of all zones: the asphalt of junctions.
     between: Zone,
     /// The cover of one half of the ground.
     covered: Option<Covered>,
@@ -96,7 +103,7 @@ impl GroundCover {
             for j in square(zone.centre[1] - reach_m)..=square(zone.centre[1] + reach_m) {
                 for i in square(zone.centre[0] - reach_m)..=square(zone.centre[0] + reach_m) {
                     let middle = [(i as f64 + 0.5) * LOOKUP_M, (j as f64 + 0.5) * LOOKUP_M];
-                    // A blob's distance is distorted, so the test of whether it touches the square is generous.
+                    // The distance of a blob is approximate, so blobs are entered in all squares within their reach.
                     if matches!(zone.outline, Outline::Blob) || zone.distance_m(middle) < 0.75 * LOOKUP_M {
                         by_square.entry((i, j)).or_default().push(index as u32);
                     }
@@ -120,13 +127,13 @@ impl GroundCover {
         }
     }
 
-    /// The same ground, one half of it covered.
+    /// Covers one half of the ground with sea or snow.
     pub(crate) fn under(self, covered: Option<Covered>) -> Self {
         Self { covered, ..self }
     }
 
-    /// Distance of a place from the edge of sea or snow, positive where it is covered, metres; far outside where
-    /// nothing is.
+    /// Distance of a place (metres east and north of the site's centre) from the edge of sea or snow, positive where it
+    /// is covered, metres; minus infinity if nothing is covered.
     pub(crate) fn inside_cover_m(&self, x: f64, y: f64) -> f64 {
         (self.covered).map_or(f64::NEG_INFINITY, |covered| covered.inside_m(x, y))
     }
@@ -141,12 +148,12 @@ impl GroundCover {
         matches!(self.covered, Some(Covered::Sea(_))) && self.is_covered(x, y)
     }
 
-    /// The albedo of snow, where it covers the hit surface.
+    /// Albedo of snow if it covers the hit surface of a class.
     pub(crate) fn snow_on(&self, hit: &Hit, class: Class) -> Option<Spectrum> {
         self.covered?.snow_on(hit, class)
     }
 
-    /// The same material everywhere.
+    /// Ground of one material.
     #[cfg(test)]
     pub(crate) fn plain(material: Material) -> Self {
         let mut ground = Self::new(Bend::new(0), Vec::new(), 0);
@@ -155,7 +162,7 @@ impl GroundCover {
         ground
     }
 
-    /// The topmost zone at a place, and where the place is in it.
+    /// Topmost zone at a place, and the position of the place in it.
     fn zone_at(&self, x: f64, y: f64) -> (&Zone, Spot) {
         let uv = self.bend.uv_from_xy(x, y);
         let square = uv.map(|v| (v / LOOKUP_M).floor() as i64);
@@ -188,10 +195,13 @@ impl GroundCover {
 
 /// The shape of the ground: the relief, lowered streets and level ponds.
 pub(crate) struct Landform<'a> {
+    /// Ground before streets and ponds.
     pub(crate) relief: Relief,
+    /// City coordinates.
     pub(crate) bend: Bend,
-    /// The blocks, pavement included.
+    /// Blocks with their pavements; the ground between them is lowered.
     pub(crate) blocks: &'a [Zone],
+    /// Ponds, level with a bank around them.
     pub(crate) ponds: &'a [Pond],
     /// The sea, where there is one.
     pub(crate) coast: Option<Coast>,

@@ -5,7 +5,7 @@ use super::palette;
 use super::planner::{Design, Planner, Plot};
 use crate::materials::{Class, Material};
 
-/// Two rows of lots back to back, or one row where the block is too narrow.
+/// Detached houses on two rows of lots back to back, or on one row where the block is too narrow.
 pub(crate) fn houses(planner: &mut Planner, plot: &Plot) {
     planner.cover(plot, [0.0, 0.0], plot.half, Class::Ground, Material::Lawn);
     let [length, width] = plot.half;

@@ -42,13 +42,15 @@ pub(crate) struct CityPlan {
     pub(crate) half_extent_m: f64,
     /// Longest side of a block, metres.
     pub(crate) longest_block_m: f64,
-    /// The cover of one half.
+    /// Cover of one half of the city, if any.
     pub(crate) cover: Option<Cover>,
 }
 
 /// A city and the ground it stands on.
 pub(crate) struct City {
+    /// Ground as a height field.
     pub(crate) terrain: HeightField,
+    /// Class and material of the ground.
     pub(crate) ground: GroundCover,
     buildings: Vec<Building>,
     trees: Vec<Tree>,
@@ -69,7 +71,7 @@ enum Use {
 }
 
 impl City {
-    /// Draws up a city.
+    /// Plans a city from a seed.
     pub(crate) fn new(seed: u64, plan: CityPlan) -> Self {
         let bend = Bend::new(seed);
         let relief = Relief::new(seed);
@@ -121,13 +123,14 @@ impl City {
         }
     }
 
-    /// The same city, `share` of whose buildings are built or torn down on one of the dates `on`.
+    /// Lets `share` (0 to 1) of the larger buildings be built or torn down, each on one of the dates `on`.
     pub(crate) fn changing(mut self, seed: u64, share: f64, on: &[usize]) -> Self {
         self.changes = Changes::new(seed, &self.buildings, share, on);
         self
     }
 
-    /// The date of the last change of the buildings at a place (metres), if there was one.
+    /// Date of the last change of the buildings at a place (metres east and north of the site's centre), if there was
+    /// one.
     pub(crate) fn changed_at(&self, x: f64, y: f64) -> Option<usize> {
         let here = |(index, building): (usize, &Building)| {
             let date = self.changes.date(index)?;
@@ -136,7 +139,7 @@ impl City {
         self.buildings.iter().enumerate().filter_map(here).max()
     }
 
-    /// All solids that stand still on a date: the scene of the truth rasters.
+    /// All static solids of a date: the scene of the truth rasters.
     pub(crate) fn solids(&self, date: usize) -> Solids {
         let mut solids = Solids::default();
         let height_at = |x: f64, y: f64| self.terrain.height_m(x, y);
@@ -154,7 +157,7 @@ impl City {
         solids
     }
 
-    /// The scene of one date: everything static, and the cars of that date.
+    /// All solids of a date: the static ones, and cars in `occupancy` (0 to 1) of the bays.
     pub(crate) fn solids_with_cars(&self, date: usize, occupancy: f64) -> Solids {
         let mut solids = self.solids(date);
         for slot in &self.car_slots {
@@ -241,7 +244,7 @@ fn lay_street(planner: &mut Planner, street: &Street) {
     });
 }
 
-/// The block as the streets see it: a kerb stone around a pavement. Returns the outer outline.
+/// Adds the zones of a block: a kerb stone around a pavement. Returns the outer outline.
 fn lay_pavement(planner: &mut Planner, block: &Block) -> Zone {
     let kerb = Zone {
         centre: block.centre(),

@@ -10,7 +10,7 @@ fn tinted(planner: &mut Planner, mean: [f64; 4], spread: f64) -> Spectrum {
     Spectrum::new(mean[0] * (1.0 + warm), mean[1], mean[2] * (1.0 - warm), mean[3]) * tone
 }
 
-/// A wall with windows.
+/// Material of a wall with windows.
 pub(crate) fn facade(planner: &mut Planner) -> Material {
     let mean = planner.pick(&[
         [0.52, 0.49, 0.43, 0.55],
@@ -23,7 +23,7 @@ pub(crate) fn facade(planner: &mut Planner) -> Material {
     Material::Facade(tinted(planner, mean, 0.12))
 }
 
-/// The covering of a pitched roof.
+/// Material of a pitched roof.
 pub(crate) fn pitched_cover(planner: &mut Planner) -> Material {
     let mean = planner.pick(&[
         [0.27, 0.135, 0.085, 0.34],
@@ -41,7 +41,7 @@ pub(crate) fn pitched_cover(planner: &mut Planner) -> Material {
     }
 }
 
-/// The covering of a flat roof; one in six has almost no texture.
+/// Material of a flat roof; one in seven is a membrane with almost no texture.
 pub(crate) fn flat_cover(planner: &mut Planner) -> Material {
     match planner.pick(&[0, 0, 1, 1, 2, 3, 4]) {
         0 => Material::Gravel(tinted(planner, [0.25, 0.24, 0.22, 0.27], 0.2)),
@@ -55,7 +55,7 @@ pub(crate) fn flat_cover(planner: &mut Planner) -> Material {
     }
 }
 
-/// The covering of a hall.
+/// Material of the roof of a hall.
 pub(crate) fn hall_cover(planner: &mut Planner) -> Material {
     match planner.pick(&[0, 1, 1, 2]) {
         0 => Material::Membrane(tinted(planner, [0.50, 0.51, 0.50, 0.50], 0.15)),
@@ -64,7 +64,7 @@ pub(crate) fn hall_cover(planner: &mut Planner) -> Material {
     }
 }
 
-/// Paving of yards and squares.
+/// Material of paved yards and squares.
 pub(crate) fn paving(planner: &mut Planner) -> Material {
     let colour = planner.pick(&[
         [0.28, 0.26, 0.23, 0.32],
@@ -75,7 +75,7 @@ pub(crate) fn paving(planner: &mut Planner) -> Material {
     Material::Slabs(tinted(planner, colour, 0.12), side)
 }
 
-/// The asphalt of a street or yard, from new and dark to old and pale.
+/// Albedo of the asphalt of a street or yard, from new and dark to old and pale.
 pub(crate) fn asphalt(planner: &mut Planner) -> Spectrum {
     grey(planner.range(0.075, 0.135))
 }

@@ -13,18 +13,27 @@ use crate::vegetation::{Hedge, Tree, TreeKind};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-/// The objects in the city so far.
+/// Objects of the city so far, and the random numbers of the next ones.
 pub(crate) struct Planner {
+    /// City coordinates.
     pub(crate) bend: Bend,
+    /// Ground before streets and ponds.
     pub(crate) relief: Relief,
+    /// Random stream of the plan.
     pub(crate) random: Pcg64Mcg,
+    /// Ground cover; later zones lie over earlier ones.
     pub(crate) zones: Vec<Zone>,
+    /// Buildings.
     pub(crate) buildings: Vec<Building>,
+    /// Trees that have grown.
     pub(crate) trees: Vec<Tree>,
+    /// Hedges.
     pub(crate) hedges: Vec<Hedge>,
+    /// Bays for cars.
     pub(crate) car_slots: Vec<CarSlot>,
+    /// Ponds.
     pub(crate) ponds: Vec<Pond>,
-    /// Trees that may grow once everything is built: place in city coordinates, crown radius, kind.
+    /// Requested trees: place in city coordinates, radius of the crown in metres, kind.
     pub(crate) wanted_trees: Vec<([f64; 2], f64, TreeKind)>,
     seed: u64,
 }
@@ -32,6 +41,7 @@ pub(crate) struct Planner {
 /// A block's interior on its own axes: `a` along its longer side, `b` across, metres from the centre.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Plot {
+    /// Centre in city coordinates, metres.
     pub(crate) centre: [f64; 2],
     /// Half length and half width, metres.
     pub(crate) half: [f64; 2],
@@ -40,7 +50,7 @@ pub(crate) struct Plot {
 }
 
 impl Plot {
-    /// The inside of a block, `margin_m` from its edge.
+    /// Interior of a block, `margin_m` from its edge.
     pub(crate) fn inside(block: &Block, margin_m: f64) -> Self {
         let half = block.half().map(|h| h - margin_m);
         let along_u = half[0] >= half[1];
@@ -51,13 +61,13 @@ impl Plot {
         }
     }
 
-    /// City coordinates of (a, b).
+    /// City coordinates of the place (`a`, `b`) of the plot, metres.
     pub(crate) fn uv(&self, a: f64, b: f64) -> [f64; 2] {
         let [u, v] = self.centre;
         if self.along_u { [u + a, v + b] } else { [u - b, v + a] }
     }
 
-    /// Side along the length on which the origin of the city is: -1 or 1.
+    /// Sign of `a` on the side of the plot that faces the origin of the city: -1 or 1.
     pub(crate) fn towards_centre(&self) -> f64 {
         let [u, v] = self.centre;
         if (if self.along_u { u } else { v }) > 0.0 {
@@ -72,17 +82,23 @@ impl Plot {
     }
 }
 
-/// A building before it has a place.
+/// Size and materials of a building without a place.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Design {
+    /// Half length and half width, metres.
     pub(crate) half: [f64; 2],
+    /// Height of the eaves or of the flat roof above the floor, metres.
     pub(crate) eaves_m: f64,
+    /// Shape of the roof.
     pub(crate) roof: Roof,
+    /// Material of the walls.
     pub(crate) wall: Material,
+    /// Material of the roof.
     pub(crate) cover: Material,
 }
 
 impl Planner {
+    /// Planner without objects.
     pub(crate) fn new(seed: u64, bend: Bend, relief: Relief) -> Self {
         Self {
             bend,
@@ -99,24 +115,27 @@ impl Planner {
         }
     }
 
-    /// A fresh seed for the next thing.
+    /// Seed for the next object.
     pub(crate) fn next_seed(&mut self) -> u64 {
         hash2(self.seed, self.random.random())
     }
 
+    /// Random number, at least `low` and below `high`.
     pub(crate) fn range(&mut self, low: f64, high: f64) -> f64 {
         self.random.random_range(low..high)
     }
 
+    /// True with the given probability, 0 to 1.
     pub(crate) fn chance(&mut self, probability: f64) -> bool {
         self.random.random_bool(probability)
     }
 
+    /// One of the options, at random. `options` must not be empty.
     pub(crate) fn pick<T: Copy>(&mut self, options: &[T]) -> T {
         options[self.random.random_range(0..options.len())]
     }
 
-    /// Covers a rectangle of a plot.
+    /// Covers a rectangle of a plot around `at`, with half length and half width `half`, metres.
     pub(crate) fn cover(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2], class: Class, material: Material) {
         let seed = self.next_seed() as u32;
         self.zones.push(Zone {
@@ -130,7 +149,7 @@ impl Planner {
         });
     }
 
-    /// A footprint on a plot, turned as the plot is.
+    /// Footprint around the place `at` of a plot, turned as the plot is.
     pub(crate) fn footprint(&self, plot: &Plot, at: [f64; 2], half: [f64; 2]) -> Footprint {
         let [u, v] = plot.uv(at[0], at[1]);
         let [x, y] = self.bend.xy_from_uv(u, v);
@@ -142,7 +161,7 @@ impl Planner {
         }
     }
 
-    /// Puts up a building and returns its plan. The floor is level with the highest ground around it.
+    /// Adds a building and returns its footprint. The floor lies 0.15 m above the highest ground at its corners.
     pub(crate) fn erect(&mut self, plot: &Plot, at: [f64; 2], design: Design) -> Footprint {
         let plan = self.footprint(plot, at, design.half);
         let corners = plan.corners(0.0);
@@ -162,12 +181,12 @@ impl Planner {
         plan
     }
 
-    /// A number in [0, 1).
+    /// Random number in [0, 1).
     pub(crate) fn share(&mut self) -> f64 {
         self.random.random()
     }
 
-    /// A bay a car may stand in, pointing along the plot's length or across it.
+    /// Adds a bay for a car, along the length of the plot or across it.
     pub(crate) fn park(&mut self, plot: &Plot, at: [f64; 2], across: bool) {
         let plan = self.footprint(plot, at, [2.5, 1.1]);
         let seed = self.next_seed();
@@ -179,7 +198,7 @@ impl Planner {
         });
     }
 
-    /// A hedge between two points of a plot.
+    /// Adds a hedge between two points of a plot.
     pub(crate) fn hedge(&mut self, plot: &Plot, from: [f64; 2], to: [f64; 2]) {
         let ends = [from, to].map(|[a, b]| {
             let [u, v] = plot.uv(a, b);
@@ -190,9 +209,10 @@ impl Planner {
         self.hedges.push(Hedge { ends, height_m, seed });
     }
 
-    /// Removes buildings, plants, cars and ponds where `taken(place, reach in metres)` is true.
+    /// Removes buildings, plants, cars and ponds where `taken(place, reach in metres)` is true; places are metres east
+    /// and north of the site's centre.
     pub(crate) fn clear(&mut self, taken: impl Fn([f64; 2], f64) -> bool) {
-        /// Ponds need their level shores.
+        /// Margin of level shore around ponds, metres.
         const SHORE_M: f64 = 10.0;
         self.buildings.retain(|building| {
             let corners = building.footprint.corners(0.0);
@@ -211,7 +231,7 @@ impl Planner {
         self.zones.retain(|zone| zone.class != Class::Water || !gone(zone));
     }
 
-    /// A pond as an ellipse with a wavering shore, level with the lowest ground at its rim.
+    /// Adds a pond: an ellipse with a wavering shore, 0.5 m below the lowest ground at its rim.
     pub(crate) fn pond(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2]) {
         let seed = self.next_seed() as u32;
         let zone = Zone {

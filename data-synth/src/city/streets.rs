@@ -1,10 +1,10 @@
-//! The plan of the streets: blocks cut from a plane by streets, in coordinates that bend a little, as cities do.
+//! Plan of the streets: blocks cut from a plane by streets, in gently bent coordinates.
 
 use crate::noise::stream;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
-/// The city's own coordinates: (u, v) is (east, north) turned by an angle and gently bent.
+/// City coordinates in metres: (u, v) is (east, north) turned by an angle and gently bent.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bend {
     angle_rad: f64,
@@ -14,7 +14,7 @@ pub(crate) struct Bend {
 }
 
 impl Bend {
-    /// A grid at any angle, bent by up to 3 m over some 200 m.
+    /// Random coordinates, turned by up to 0.6 radians and bent by up to 3 m over some 200 m.
     pub(crate) fn new(seed: u64) -> Self {
         let mut random = stream(seed, 0xBE);
         let mut draw = |low: f64, high: f64| random.random_range(low..high);
@@ -26,14 +26,14 @@ impl Bend {
         }
     }
 
-    /// City coordinates of a place.
+    /// City coordinates of a place (metres east and north of the site's centre).
     pub(crate) fn uv_from_xy(&self, x: f64, y: f64) -> [f64; 2] {
         let (sin, cos) = self.angle_rad.sin_cos();
         let (u, v) = (x * cos + y * sin, y * cos - x * sin);
         [u + self.shift(0, v), v + self.shift(1, u)]
     }
 
-    /// The place of city coordinates, by fixed-point iteration (each step shrinks the error at least tenfold).
+    /// Place of city coordinates, by fixed-point iteration; each step shrinks the error at least tenfold.
     pub(crate) fn xy_from_uv(&self, u: f64, v: f64) -> [f64; 2] {
         let (mut p, mut q) = (u, v);
         for _ in 0..30 {
@@ -58,42 +58,51 @@ impl Bend {
     }
 }
 
-/// A rectangle in city coordinates.
+/// A rectangle in city coordinates, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Block {
+    /// Least u and v.
     pub(crate) low: [f64; 2],
+    /// Largest u and v.
     pub(crate) high: [f64; 2],
 }
 
 impl Block {
+    /// Centre (u, v).
     pub(crate) fn centre(&self) -> [f64; 2] {
         [0, 1].map(|k| 0.5 * (self.low[k] + self.high[k]))
     }
 
+    /// Half size along u and v.
     pub(crate) fn half(&self) -> [f64; 2] {
         [0, 1].map(|k| 0.5 * (self.high[k] - self.low[k]))
     }
 }
 
-/// A straight stretch of carriageway in city coordinates.
+/// A straight stretch of carriageway in city coordinates, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Street {
+    /// Centre (u, v).
     pub(crate) centre: [f64; 2],
     /// True if the street runs along u.
     pub(crate) along_u: bool,
+    /// Half of the length.
     pub(crate) half_length: f64,
+    /// Half of the width.
     pub(crate) half_width: f64,
 }
 
 /// Streets and the blocks between them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StreetPlan {
+    /// Blocks, pavements included.
     pub(crate) blocks: Vec<Block>,
+    /// Streets, which fill the rest of the plane.
     pub(crate) streets: Vec<Street>,
 }
 
 impl StreetPlan {
-    /// Cuts a square of `half_extent_m` until no block is longer than `longest_m`.
+    /// Cuts a square of `half_extent_m` on either side of the origin until no block is longer than `longest_m`, metres.
     pub(crate) fn new(seed: u64, half_extent_m: f64, longest_m: f64) -> Self {
         let mut random = stream(seed, 0x57);
         let mut plan = Self::default();

@@ -7,7 +7,7 @@ use crate::vegetation::{Tree, TreeKind};
 use rand::RngExt;
 
 impl Planner {
-    /// Requests a tree at a place of a plot. [`Self::grow`] makes it if nothing is in its way.
+    /// Requests a tree at the place `at` of a plot, metres. [`Self::grow`] makes it if nothing is in its way.
     pub(crate) fn plant(&mut self, plot: &Plot, at: [f64; 2], radius_m: f64, kind: TreeKind) {
         self.wanted_trees.push((plot.uv(at[0], at[1]), radius_m, kind));
     }
@@ -45,7 +45,7 @@ impl Planner {
         });
     }
 
-    /// A tree of any common kind.
+    /// Random kind of tree: seven in ten are broad-leaved.
     pub(crate) fn any_tree(&mut self) -> TreeKind {
         match self.random.random_range(0..10) {
             0..7 => TreeKind::Broadleaf,
@@ -55,7 +55,7 @@ impl Planner {
     }
 }
 
-/// Rows of trees along the four sides of a block's pavement.
+/// Requests rows of trees along the four sides of a block's pavement.
 pub(super) fn along_pavement(planner: &mut Planner, block: &Block) {
     let plot = Plot::inside(block, 1.1);
     let kind = planner.pick(&[TreeKind::Broadleaf, TreeKind::Broadleaf, TreeKind::Evergreen]);

@@ -6,8 +6,9 @@ use super::planner::{Design, Planner, Plot};
 use crate::materials::{Class, Material, Spectrum};
 use crate::vegetation::TreeKind;
 
-/// A bay's width, and the distance from one row of bays to the next but one, metres.
+/// Width of a bay, metres.
 const BAY_M: f64 = 2.6;
+/// Distance from one row of bays to the next but one, metres.
 const ROW_PITCH_M: f64 = 16.0;
 
 /// A hall on one half of the plot, a car park on the other.
@@ -73,7 +74,7 @@ fn car_park(planner: &mut Planner, plot: &Plot, side: f64, [length, width, reach
     );
     let bays = (half[0] / BAY_M).floor() as i32;
     for row in -3..=3 {
-        // As the markings have it: bays reach 5 m to both sides of each multiple of the row pitch.
+        // As in the markings: bays reach 5 m to both sides of each multiple of the row pitch.
         for (offset, flip) in [(2.5, 1.0), (-2.5, -1.0)] {
             let b = f64::from(row) * ROW_PITCH_M + offset;
             if b.abs() > half[1] - 2.5 {

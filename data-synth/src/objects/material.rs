@@ -1,7 +1,8 @@
 //! Surfaces: reflection and transmission of light by a part of an object.
 //!
-//! A diffuse base and, where there is one, an anisotropic GGX lobe (Walter et al. 2007; Heitz 2014) with Schlick's
-//! Fresnel term. Light that the lobe reflects does not reach the base.
+//! A diffuse base and, where there is one, an anisotropic GGX lobe (B. Walter et al., "Microfacet models for refraction
+//! through rough surfaces", EGSR 2007; E. Heitz, "Understanding the masking-shadowing function in microfacet-based
+//! BRDFs", JCGT 3(2), 2014) with Schlick's Fresnel term. Light that the lobe reflects does not reach the base.
 
 use nalgebra::{Vector2, Vector3};
 use std::f64::consts::PI;
@@ -9,9 +10,10 @@ use std::f64::consts::PI;
 /// Red, green and blue.
 pub(crate) type Colour = Vector3<f64>;
 
-/// Colours over a surface.
+/// Distribution of two colours over a surface; lengths are in the units of the capture.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Pattern {
+    /// The first colour alone.
     Plain,
     /// Blocks of this width.
     Checks(f64),
@@ -24,45 +26,54 @@ pub(crate) enum Pattern {
 /// A glossy lobe.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Gloss {
-    /// GGX widths along the tangent and across it.
+    /// GGX roughness `α` along the tangent and across it.
     pub(crate) alpha: [f64; 2],
-    /// Reflectance at normal incidence (F0).
+    /// Reflectance at normal incidence (F0), 0 to 1.
     pub(crate) normal_reflectance: Colour,
 }
 
 /// An isotropic scattering medium under a surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Medium {
-    /// Times that light is scattered or absorbed per length.
+    /// Extinction coefficient: scattering and absorption events per unit length.
     pub(crate) extinction: f64,
-    /// Share of these events that are scattering.
+    /// Share of the events that are scattering, 0 to 1.
     pub(crate) albedo: Colour,
 }
 
 /// Material of a part.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PartMaterial {
+    /// The two colours of the pattern: albedo, or for a metal reflectance at normal incidence.
     pub(crate) colours: [Colour; 2],
+    /// Distribution of the colours.
     pub(crate) pattern: Pattern,
+    /// Glossy lobe, if any.
     pub(crate) gloss: Option<Gloss>,
-    /// A metal has no base.
+    /// True for a metal, which has no diffuse base.
     pub(crate) metal: bool,
-    /// Light enters a part with a medium and comes out of it elsewhere; it has no base.
+    /// Medium below the surface. Light enters such a part and leaves it elsewhere; it has no diffuse base.
     pub(crate) medium: Option<Medium>,
 }
 
 /// A surface at one point: its frame, its base and its lobe.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SurfacePoint {
+    /// Unit normal.
     pub(crate) normal: Vector3<f64>,
+    /// Unit tangent, along the first width of the lobe.
     pub(crate) tangent: Vector3<f64>,
+    /// Albedo of the diffuse base.
     pub(crate) base: Colour,
+    /// Glossy lobe, if any.
     pub(crate) gloss: Option<Gloss>,
+    /// Medium below the surface, if any.
     pub(crate) medium: Option<Medium>,
 }
 
 impl PartMaterial {
-    /// The surface at a point in the part's own frame.
+    /// Surface at the point `own` in the part's own frame. `normal` and the part's axis `own_up` are unit vectors of
+    /// the world.
     pub(crate) fn at(&self, own: &Vector3<f64>, normal: Vector3<f64>, own_up: Vector3<f64>) -> SurfacePoint {
         let share = match self.pattern {
             Pattern::Plain => 0.0,
@@ -103,14 +114,14 @@ impl PartMaterial {
     }
 }
 
-/// A unit vector at right angles to a unit vector.
+/// Unit vector at right angles to the unit vector `n`.
 pub(crate) fn across(n: &Vector3<f64>) -> Vector3<f64> {
     let other = if n.x.abs() < 0.5 { Vector3::x() } else { Vector3::y() };
     n.cross(&other).normalize()
 }
 
 impl SurfacePoint {
-    /// A white, matte surface: how light leaves a medium.
+    /// White, matte surface: the interface through which light enters and leaves a medium.
     pub(crate) fn white(normal: Vector3<f64>) -> Self {
         Self {
             normal,
@@ -131,7 +142,7 @@ impl SurfacePoint {
         self.tangent * v.x + self.normal.cross(&self.tangent) * v.y + self.normal * v.z
     }
 
-    /// The same surface with lobes of at least this width.
+    /// Widens the lobe to a roughness of at least `least_alpha` in both directions.
     pub(crate) fn blurred(mut self, least_alpha: f64) -> Self {
         if let Some(gloss) = &mut self.gloss {
             gloss.alpha = gloss.alpha.map(|alpha| alpha.max(least_alpha));
@@ -139,7 +150,7 @@ impl SurfacePoint {
         self
     }
 
-    /// Light reflected from `to_light` to `to_eye` per light that falls in (unit vectors), without the cosine.
+    /// Bidirectional reflectance, 1/sr, between the unit vectors `to_light` and `to_eye`, without the cosine.
     pub(crate) fn reflect(&self, to_light: &Vector3<f64>, to_eye: &Vector3<f64>) -> Colour {
         let (light, eye) = (self.local(to_light), self.local(to_eye));
         if light.z <= 0.0 || eye.z <= 0.0 {
@@ -178,8 +189,8 @@ impl SurfacePoint {
         }
     }
 
-    /// A direction with a large contribution of light, from three numbers in [0, 1); `None` when it is below the
-    /// surface.
+    /// Direction to a light, drawn with the probability [`Self::density`] from three numbers in [0, 1); `None` if it is
+    /// below the surface.
     pub(crate) fn sample(&self, to_eye: &Vector3<f64>, choice: f64, u: Vector2<f64>) -> Option<Vector3<f64>> {
         let light = if choice < self.lobe_share() {
             let [ax, ay] = self.gloss.as_ref().map_or([1.0; 2], |g| g.alpha);

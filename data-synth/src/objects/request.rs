@@ -1,19 +1,19 @@
-//! Request of a capture of an object.
+//! Request of a capture: light, material, images and paths.
 
 use crate::error::SynthError;
 
-/// Under which light an object is photographed.
+/// Light under which an object is photographed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Capture {
-    /// A sky and a sun that stay: display images (PNG), as NeRF-synthetic.
+    /// Fixed sky and sun: display images (PNG), as NeRF-synthetic.
     Object,
-    /// One light at a time, somewhere else in every image: linear images (EXR), as GS³ and NRHints.
+    /// One point light, at another place in every image: linear images (EXR), as GS³ and NRHints.
     Olat,
-    /// An environment map with bright patches, to be seen in reflections: display images (PNG), as Shiny Blender.
+    /// Environment map with bright patches that show in reflections: display images (PNG), as Shiny Blender.
     Reflective,
 }
 
-/// Material of the object's middle.
+/// Material of the ball and the ring of the object.
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
@@ -30,19 +30,20 @@ pub enum Look {
 /// A capture to make.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectRequest {
-    /// Under which light.
+    /// Light of the capture.
     pub capture: Capture,
-    /// Its material.
+    /// Material of the object.
     pub look: Look,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Images to train with; `None` for the usual number of such captures.
+    /// Number of images to train with, 2 to 2000; `None` for the usual number of such captures.
     pub views: Option<usize>,
-    /// Images held out; for [`Capture::Olat`] one half with lights near those of training, one half far from them.
+    /// Number of images held out, at most 2000; `None` for the usual number. For [`Capture::Olat`], one half has lights
+    /// near those of training, one half far from them.
     pub held_out: Option<usize>,
-    /// Width and height of every image, pixels.
+    /// Width and height of every image, 16 to 2048 pixels.
     pub size_px: usize,
-    /// Paths per pixel; a power of two is best.
+    /// Paths per pixel, 1 to 65536; a power of two is best.
     pub paths: usize,
 }
 
@@ -61,7 +62,7 @@ impl Default for ObjectRequest {
 }
 
 impl ObjectRequest {
-    /// Images to train with.
+    /// Number of images to train with: `views`, or the usual number of such captures.
     pub fn training(&self) -> usize {
         self.views.unwrap_or(match self.capture {
             Capture::Object => 30,
@@ -70,7 +71,7 @@ impl ObjectRequest {
         })
     }
 
-    /// Images held out.
+    /// Number of images held out: `held_out`, or the usual number of such captures.
     pub fn testing(&self) -> usize {
         self.held_out.unwrap_or(match self.capture {
             Capture::Object => 15,
@@ -79,6 +80,10 @@ impl ObjectRequest {
         })
     }
 
+    /// Checks the request.
+    ///
+    /// # Errors
+    /// `SynthError::BadRequest` with the first value out of range and its limits.
     pub(crate) fn check(&self) -> Result<(), SynthError> {
         let bad = |what: String| Err(SynthError::BadRequest(what));
         if !(16..=2048).contains(&self.size_px) {

@@ -11,7 +11,8 @@ const PER_TURN: u32 = 6;
 const OF_PIXEL: u32 = 2;
 
 /// The random numbers of one path of a pixel. For each purpose the paths of a pixel draw from a Sobol sequence,
-/// scrambled after Owen (Burley 2020) with the pixel's seed: best where the number of paths is a power of two.
+/// scrambled after Owen (B. Burley, "Practical hash-based Owen scrambling", JCGT 9(4), 2020) with the pixel's seed:
+/// best where the number of paths is a power of two.
 pub(crate) struct PathSampler {
     seed: u32,
     path: u32,
@@ -19,9 +20,10 @@ pub(crate) struct PathSampler {
 }
 
 impl PathSampler {
+    /// Random numbers of path number `path` of the pixel with the seed `seed`.
     pub(crate) fn new(seed: u64, path: u32) -> Self {
         let mut random = Pcg32::new(seed, u64::from(path));
-        // The first number of neighbouring streams is alike.
+        // Neighbouring streams begin with similar numbers.
         let _: u32 = random.random();
         Self {
             seed: Pcg32::seed_from_u64(seed).random(),
@@ -34,12 +36,12 @@ impl PathSampler {
         f64::from(sobol_burley::sample(self.path, dimension, self.seed))
     }
 
-    /// A place within the pixel.
+    /// Position within the pixel, both coordinates in [0, 1).
     pub(crate) fn within_pixel(&self) -> Vector2<f64> {
         Vector2::new(self.sobol(0), self.sobol(1))
     }
 
-    /// A choice and a place for one of the two samples of a turn of the path.
+    /// One number and a pair of numbers in [0, 1) for one of the two samples (0 or 1) at a turn of the path.
     pub(crate) fn at_turn(&self, turn: usize, sample: u32) -> (f64, Vector2<f64>) {
         let first = OF_PIXEL + PER_TURN * turn as u32 + 3 * sample;
         (
@@ -48,12 +50,12 @@ impl PathSampler {
         )
     }
 
-    /// A number with no relation to those of other paths.
+    /// Number in [0, 1), independent of those of other paths.
     pub(crate) fn any(&mut self) -> f64 {
         self.random.random()
     }
 
-    /// Two of [`Self::any`].
+    /// Two numbers of [`Self::any`].
     pub(crate) fn any_pair(&mut self) -> Vector2<f64> {
         Vector2::new(self.any(), self.any())
     }

@@ -8,41 +8,41 @@ const SELF_HIT: f64 = 1e-6;
 /// Steps after which a ray that creeps along a torus counts as a miss.
 const TORUS_STEPS: usize = 200;
 
-/// A shape around the origin of its own frame.
+/// A shape around the origin of its own frame. Lengths are in the units of the capture.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Shape {
-    Sphere {
-        radius: f64,
-    },
-    Box {
-        half: Vector3<f64>,
-    },
-    /// Around the own z axis.
-    Torus {
-        major: f64,
-        minor: f64,
-    },
+    /// Sphere of a radius.
+    Sphere { radius: f64 },
+    /// Box with half sides along the own axes.
+    Box { half: Vector3<f64> },
+    /// Torus around the own z axis: radius of its middle circle, and of its tube.
+    Torus { major: f64, minor: f64 },
 }
 
 /// A shape in the world.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Solid {
+    /// Shape in its own frame.
     pub(crate) shape: Shape,
+    /// Centre in the world.
     pub(crate) centre: Vector3<f64>,
-    /// Turns the world's directions into the shape's own.
+    /// Rotation of directions of the world into the own frame.
     pub(crate) own_from_world: Matrix3<f64>,
 }
 
-/// Intersection of a ray with a solid. `normal` points out of the solid; `own` is the point in the solid's frame.
+/// Intersection of a ray with a solid.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Intersection {
+    /// Distance along the ray.
     pub(crate) distance: f64,
+    /// Unit normal of the world that points out of the solid.
     pub(crate) normal: Vector3<f64>,
+    /// Point in the solid's own frame.
     pub(crate) own: Vector3<f64>,
 }
 
 impl Solid {
-    /// The first intersection before `limit`.
+    /// First intersection nearer than `limit` along the ray.
     pub(crate) fn intersect(&self, ray: &Ray, limit: f64) -> Option<Intersection> {
         let origin = self.own_from_world * (ray.origin - self.centre);
         let direction = self.own_from_world * ray.direction;
@@ -103,7 +103,7 @@ fn cuboid(origin: &Vector3<f64>, direction: &Vector3<f64>, half: &Vector3<f64>) 
     Some((t, normal))
 }
 
-/// Marched by its distance field, which is exact; then polished by Newton's rule.
+/// Intersection with a torus: steps along the ray by its exact distance field, and a last step by Newton's method.
 fn torus(origin: &Vector3<f64>, direction: &Vector3<f64>, major: f64, minor: f64, limit: f64) -> Crossing {
     let field = |p: &Vector3<f64>| (p.xy().norm() - major).hypot(p.z) - minor;
     let slope = |p: &Vector3<f64>| {

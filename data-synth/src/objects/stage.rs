@@ -17,26 +17,30 @@ const LIGHT_DISTANCE: f64 = 4.0;
 pub(crate) const LIGHT_STRENGTH: f64 = 25.0;
 /// Half of the sector of azimuths, radians, without lights of training; the lights far from those are in it.
 const DARK_SECTOR: f64 = PI / 5.0;
-/// Lights near those of training are this far from one, radians.
+/// Angle between a light near those of training and the nearest of these, radians.
 const NEAR: f64 = 0.1;
 
 /// Camera of an image, and its light where it has one of its own.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shot {
+    /// Position of the camera, which looks at the origin.
     pub(crate) eye: Vector3<f64>,
+    /// Position of the point light, if the image has one of its own.
     pub(crate) light: Option<Vector3<f64>>,
 }
 
-/// Images of a capture: to train with, held out with lights near those, held out with lights far from them. Where
-/// lights do not move, the last is empty.
+/// Images of a capture.
 #[derive(Debug, Clone)]
 pub(crate) struct Shots {
+    /// Images to train with.
     pub(crate) train: Vec<Shot>,
+    /// Held-out images; in captures under one light, those with lights near the lights of training.
     pub(crate) near: Vec<Shot>,
+    /// Held-out images with lights far from those of training; empty if lights do not move.
     pub(crate) far: Vec<Shot>,
 }
 
-/// Something random.
+/// Random numbers of a capture.
 struct Dice(Pcg32);
 
 impl Dice {
@@ -220,7 +224,7 @@ fn environment(capture: Capture, dice: &mut Dice) -> (Environment, Vec<LightSour
     }
 }
 
-/// Objects on the stage, under static light.
+/// Object of a request and its static light.
 pub(crate) fn stage(request: &ObjectRequest) -> Stage {
     let mut dice = Dice(Pcg32::seed_from_u64(request.seed));
     let parts = parts(request.look, &mut dice);
@@ -232,7 +236,7 @@ pub(crate) fn stage(request: &ObjectRequest) -> Stage {
     }
 }
 
-/// Positions of cameras and lights.
+/// Positions of cameras and lights of a request.
 pub(crate) fn shots(request: &ObjectRequest) -> Shots {
     let mut dice = Dice(Pcg32::seed_from_u64(request.seed ^ 0x5eed));
     let phase = dice.between(0.0, 2.0 * PI);
@@ -252,7 +256,7 @@ pub(crate) fn shots(request: &ObjectRequest) -> Shots {
             far: Vec::new(),
         };
     }
-    // Lights keep out of a sector of azimuths; those far from them stand in its middle half.
+    // Lights of training keep out of a sector of azimuths; lights far from them are in its middle half.
     let dark = dice.between(0.0, 2.0 * PI);
     let lit = |share: f64| dark + DARK_SECTOR + share * (2.0 * PI - 2.0 * DARK_SECTOR);
     let mut lights: Vec<Vector3<f64>> = dome(training, 0.0, 0.3, 0.98)

@@ -8,10 +8,11 @@ use crate::ray::Ray;
 use nalgebra::{Vector2, Vector3};
 use std::f64::consts::PI;
 
-/// Turns of a path.
+/// Bounces of a path.
 const BOUNCES: usize = 3;
 /// Least width of lobes after the first bounce of a path: light reflected by gloss onto other surfaces is blurred,
-/// since a path finds a sharp reflection of a light once in a thousand, as a speck (Kaplanyan and Dachsbacher 2013).
+/// since a path finds a sharp reflection of a light once in a thousand, as a speck (A. Kaplanyan and C. Dachsbacher,
+/// Computer Graphics Forum 32(2), 2013, on robust light transport).
 const LEAST_ALPHA: f64 = 0.5;
 
 /// Most turns of a walk through a medium.
@@ -27,18 +28,18 @@ struct WalkExit {
 /// A light without extent.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum LightSource {
-    /// Parallel light from a unit direction; irradiance of a surface that faces it.
+    /// Parallel light from the unit direction `toward`; `strength` is the irradiance of a surface that faces it.
     Sun { toward: Vector3<f64>, strength: Colour },
-    /// A point that radiates evenly; radiant intensity.
+    /// Point that radiates evenly; `strength` is its radiant intensity.
     Point { position: Vector3<f64>, strength: Colour },
 }
 
 /// Light from infinitely far: a smooth environment map and bright patches on it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Environment {
-    /// Straight up, at the horizon, straight down.
+    /// Radiance straight up, at the horizon and straight down.
     pub(crate) shades: [Colour; 3],
-    /// Direction, sharpness and peak of each patch.
+    /// Unit direction, sharpness (concentration of von Mises and Fisher) and peak radiance of each patch.
     pub(crate) patches: Vec<(Vector3<f64>, f64, Colour)>,
 }
 
@@ -97,26 +98,31 @@ impl Environment {
 /// One part of an object.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Part {
+    /// Shape and place.
     pub(crate) solid: Solid,
+    /// Material.
     pub(crate) material: PartMaterial,
 }
 
 /// An object under its light.
 #[derive(Debug, Clone)]
 pub(crate) struct Stage {
+    /// Parts of the object.
     pub(crate) parts: Vec<Part>,
+    /// Sun and point lights.
     pub(crate) lights: Vec<LightSource>,
+    /// Light from infinitely far.
     pub(crate) environment: Environment,
 }
 
 /// First hit of a path from the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PathSample {
-    /// Light toward the camera.
+    /// Radiance toward the camera.
     pub(crate) radiance: Colour,
     /// Unit normal of the surface.
     pub(crate) normal: Vector3<f64>,
-    /// The part of the object, by number.
+    /// Number of the part of the object, from 0.
     pub(crate) part: usize,
 }
 
@@ -163,7 +169,8 @@ impl Stage {
     }
 
     /// Light from one sampled direction of a patch, weighted against the probability that the path samples it (balance
-    /// heuristic, Veach and Guibas 1995).
+    /// heuristic; E. Veach and L. Guibas, "Optimally combining sampling techniques for Monte Carlo rendering", SIGGRAPH
+    /// 1995).
     fn patch_at(
         &self,
         point: &Vector3<f64>,
@@ -190,9 +197,9 @@ impl Stage {
             * (cosine / density.max(1e-12))
     }
 
-    /// A random walk through the medium of a part, from the surface inward until it leaves. Paths are reversible: light
-    /// that leaves here has entered there. Both interfaces are matte, without internal reflection. `None` when almost
-    /// no weight remains.
+    /// A random walk through the medium of a part, from the surface inward until it leaves. By reciprocity, light that
+    /// leaves the part at the start of the walk has entered it at the end. Both interfaces are matte, without internal
+    /// reflection. `None` when almost no weight remains.
     fn random_walk(
         &self,
         part: usize,
@@ -236,7 +243,7 @@ impl Stage {
         None
     }
 
-    /// Follows one path from the camera; `None` when it meets nothing.
+    /// Follows one path from the camera; `None` if it meets no part.
     pub(crate) fn look(&self, ray: &Ray, sampler: &mut PathSampler) -> Option<PathSample> {
         let (mut point, mut surface, part) = self.first_hit(ray)?;
         let (normal, mut within) = (surface.normal, part);

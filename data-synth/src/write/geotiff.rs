@@ -17,7 +17,7 @@ const MODEL_TIEPOINT: u16 = 33_922;
 const GEO_KEY_DIRECTORY: u16 = 34_735;
 const GDAL_METADATA: u16 = 42_112;
 const GDAL_NODATA: u16 = 42_113;
-/// Bytes of a strip, about.
+/// Approximate size of a strip, bytes.
 const STRIP_BYTES: usize = 1 << 16;
 
 /// Samples, bands interleaved by pixel.
@@ -32,21 +32,26 @@ pub(crate) enum Samples<'a> {
 /// A raster and the metadata of its file.
 #[derive(Clone)]
 pub(crate) struct Raster<'a> {
+    /// Columns.
     pub(crate) width: usize,
+    /// Rows.
     pub(crate) height: usize,
+    /// Samples, row by row.
     pub(crate) samples: Samples<'a>,
     /// Name of each band.
     pub(crate) bands: &'a [&'a str],
     /// Items of GDAL's default metadata domain.
     pub(crate) items: &'a [(String, String)],
-    /// The rational camera as the tag has it.
+    /// The 92 values of RPCCoefficientTag, if the raster has a camera.
     pub(crate) rpc: Option<[f64; 92]>,
+    /// Georeference, if the raster has one.
     pub(crate) grid: Option<&'a TruthGrid>,
+    /// Value of missing samples, if any.
     pub(crate) nodata: Option<f32>,
 }
 
 impl<'a> Samples<'a> {
-    /// Counts of an image as 16 or 8 bits, these in `bytes`.
+    /// Samples of the counts of an image: as they are for 16 bits, clipped to 255 and stored in `bytes` for 8 bits.
     pub(crate) fn of_counts(counts: &'a [u16], bits: u8, bytes: &'a mut Vec<u8>) -> Self {
         if bits != 8 {
             return Self::U16(counts);
@@ -74,7 +79,10 @@ impl<'a> Samples<'a> {
     }
 }
 
-/// Writes a raster as a TIFF in strips.
+/// Writes a raster as an uncompressed TIFF in strips.
+///
+/// # Errors
+/// `SynthError::Failed` when it cannot be written.
 pub(crate) fn write(path: &Path, raster: &Raster) -> Result<(), SynthError> {
     let file = File::create(path).map_err(failed(path))?;
     let mut buffered = BufWriter::new(file);

@@ -6,7 +6,7 @@ use crate::request::{Fault, SatelliteRequest};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use serde_json::{Value, json};
 
-/// Items for GDAL's default metadata domain.
+/// Items (name, value) for GDAL's default metadata domain. `cloud_share` is 0 to 1.
 pub(crate) fn image_items(view: &ViewPlan, request: &SatelliteRequest, cloud_share: f64) -> Vec<(String, String)> {
     let time = view.time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string();
     let radiometry = if request.bits == 8 {
@@ -37,7 +37,7 @@ pub(crate) fn image_items(view: &ViewPlan, request: &SatelliteRequest, cloud_sha
     items
 }
 
-/// Altitude bounds that a public elevation model would give: wider than the truth by 10 to 25 m on either side.
+/// Altitude bounds, metres, as a public elevation model would give: 10 to 25 m wider than the truth on either side.
 pub(crate) fn loose_altitudes_m([low_m, high_m]: [f64; 2], seed: u64) -> [f64; 2] {
     let slack_m = |salt: u64| 10.0 + 10.0 * crate::noise::unit(crate::noise::hash2(seed, salt));
     [
@@ -46,7 +46,10 @@ pub(crate) fn loose_altitudes_m([low_m, high_m]: [f64; 2], seed: u64) -> [f64; 2
     ]
 }
 
-/// The JSON metadata of an image in Sat-NeRF's data sets.
+/// JSON metadata of an image as in Sat-NeRF's data sets. `altitudes_m` are the lowest and the highest altitude, metres.
+///
+/// # Errors
+/// When the RPC cannot be localised at a corner or the centre of the image.
 pub(crate) fn satnerf_json(view: &ViewPlan, crop: &Crop, rpc: &Rpc, altitudes_m: [f64; 2]) -> Result<Value, RpcError> {
     let middle_m = 0.5 * (altitudes_m[0] + altitudes_m[1]);
     let place = |col: f64, row: f64| {

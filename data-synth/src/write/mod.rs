@@ -9,14 +9,17 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A folder that becomes part of its parent when everything in it is done.
+/// Folder whose content moves into its parent when all of it is complete.
 pub(crate) struct Staging {
     target: PathBuf,
     staged: PathBuf,
 }
 
 impl Staging {
-    /// Makes the target if it is not there, and the staging folder in it.
+    /// Creates the target if it is absent, and an empty staging folder in it.
+    ///
+    /// # Errors
+    /// `SynthError::Failed` when a folder cannot be created.
     pub(crate) fn new(target: &Path) -> Result<Self, SynthError> {
         let staged = target.join(".synth-part");
         if staged.exists() {
@@ -29,7 +32,10 @@ impl Staging {
         })
     }
 
-    /// Temporary path of a file until it is complete; its folder exists.
+    /// Temporary path of a file until it is complete. Its folder is created.
+    ///
+    /// # Errors
+    /// `SynthError::Failed` when the folder cannot be created.
     pub(crate) fn path(&self, relative: &str) -> Result<PathBuf, SynthError> {
         let path = self.staged.join(relative);
         if let Some(folder) = path.parent() {
@@ -39,12 +45,18 @@ impl Staging {
     }
 
     /// Writes a text file.
+    ///
+    /// # Errors
+    /// `SynthError::Failed` when it cannot be written.
     pub(crate) fn text(&self, relative: &str, text: &str) -> Result<(), SynthError> {
         let path = self.path(relative)?;
         fs::write(&path, text).map_err(failed(&path))
     }
 
-    /// Moves everything into place.
+    /// Moves all files into the target.
+    ///
+    /// # Errors
+    /// `SynthError::Failed` when a file cannot be moved.
     pub(crate) fn finish(self) -> Result<(), SynthError> {
         move_into(&self.staged, &self.target)
     }
@@ -71,7 +83,7 @@ fn move_into(from: &Path, to: &Path) -> Result<(), SynthError> {
     Ok(())
 }
 
-/// Names the file an input/output error is about.
+/// Conversion of input and output errors of the file `path`, whose name is in the message.
 pub(crate) fn failed(path: &Path) -> impl Fn(io::Error) -> SynthError {
     move |source| SynthError::unwritable(path, source)
 }

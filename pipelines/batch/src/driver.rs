@@ -1,7 +1,7 @@
 //! Runs all units of a batch on this machine, a few at a time, each in its own process.
 //!
-//! A unit's process ends with this one: its standard input is a pipe that closes when this process goes, however it goes. So nobody
-//! works on after a batch that was killed, and the next one finds what there is.
+//! The standard input of a unit's process is a pipe that closes when this process ends, even if it is killed. The unit
+//! then saves its state and ends, and the next batch resumes from there.
 
 use super::BatchError;
 use super::plan::{Plan, Unit};
@@ -19,32 +19,32 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Time between two looks at the units that run.
+/// Time between two checks of the running units.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Looks between two readings of their logs.
+/// Number of checks between two readings of their logs.
 const LOOKS_PER_READING: usize = 10;
 /// Bytes at the end of a log that are read for its last lines.
 const TAIL: u64 = 4096;
-/// Longest line of a log that is shown.
+/// Most characters of a log line that are shown.
 const SHOWN: usize = 70;
 
 /// Units of a batch and the settings they run with.
 pub struct Batch<'a> {
-    /// The units.
+    /// Units of the batch.
     pub plan: &'a Plan,
-    /// The manifest.
+    /// File of the manifest.
     pub manifest: &'a Path,
-    /// The folder.
+    /// Folder of the batch.
     pub out: &'a Path,
-    /// Units at a time.
+    /// Most units that run at a time.
     pub jobs: usize,
-    /// Threads of all of them together.
+    /// Number of threads, shared by the running units.
     pub threads: usize,
     /// Time between two checkpoints of a training.
     pub checkpoint_every: Duration,
 }
 
-/// A unit that runs.
+/// Running unit.
 struct Running<'a> {
     unit: &'a Unit,
     place: usize,
@@ -54,11 +54,11 @@ struct Running<'a> {
 }
 
 impl Batch<'_> {
-    /// Does every unit that is not finished; what comes of each, in the order of the plan. A unit that fails stops those that wait for
-    /// it and no others.
+    /// Runs every unit that is not finished, and returns the row of each unit in the order of the plan. A failed unit
+    /// blocks only the units that wait for it. A stop by the user is no error: the remaining units stay pending.
     ///
     /// # Errors
-    /// When a process cannot be started. That the user stopped it is told by units that were not begun.
+    /// When a process cannot be started, or a unit waits for one that is not in the plan.
     pub fn run(&self, session: &Session) -> Result<Vec<Row>, BatchError> {
         session.stop_gently();
         let units = &self.plan.units;
@@ -98,7 +98,7 @@ impl Batch<'_> {
             if !session.stopped() {
                 self.start(&waits, &mut rows, &mut running, session)?;
             } else {
-                // Their input ends: they save and go.
+                // Their input ends: they save their state and exit.
                 running.iter_mut().for_each(|r| drop(r.child.stdin.take()));
             }
             progress.set(rows.iter().filter(|row| row.state.is_final()).count() as u64);
@@ -125,8 +125,8 @@ impl Batch<'_> {
         Ok(rows)
     }
 
-    /// Starts units while there is room, in the order of the plan, in which each stands after those that it waits for (`waits`, their
-    /// places); those that wait for a lost one are blocked.
+    /// Starts units in the order of the plan until `jobs` of them run. `waits` lists, for each unit, the indices of the
+    /// units that must be done before; they precede it in the plan. Units that wait for a lost one are blocked.
     fn start<'u>(
         &'u self,
         waits: &[Vec<usize>],
@@ -157,7 +157,7 @@ impl Batch<'_> {
         Ok(())
     }
 
-    /// One unit in a process of its own, its log in its folder.
+    /// Starts a unit in a process of its own, with its log in its folder.
     fn spawn(&self, unit: &Unit) -> Result<Child, BatchError> {
         let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", unit.id));
         create_folder(&self.out.join(&unit.id))?;
@@ -214,7 +214,7 @@ impl Batch<'_> {
     }
 }
 
-/// The end of a log, as text.
+/// Last [`TAIL`] bytes of a log, as text; empty if it cannot be read.
 fn tail(path: &Path) -> String {
     let read = || -> std::io::Result<Vec<u8>> {
         let mut file = File::open(path)?;
@@ -233,7 +233,7 @@ fn last_line(path: &Path) -> String {
     line.chars().filter(|c| !c.is_control()).take(SHOWN).collect()
 }
 
-/// The last error that a log tells of.
+/// Last error message in a log.
 fn last_error(path: &Path) -> Option<String> {
     let text = tail(path);
     let line = text.lines().rev().find_map(|line| line.strip_prefix("error: "));

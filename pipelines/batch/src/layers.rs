@@ -1,8 +1,8 @@
-//! Everything on the map besides the surface, merged from tiles as their surfaces were: every tile counts as much as it does there, and
-//! those that show another surface do not count.
+//! Rasters other than the surface model, merged from tiles with the blending weights of their surface models. Tiles
+//! that show another surface at a cell have no weight there.
 //!
-//! A model knows its colours up to one gain per band. Before albedos are merged, tiles are given the gains with which they agree best
-//! where they overlap.
+//! A model determines its colours up to one gain per band. Before albedos are merged, each tile is multiplied by the
+//! gains that minimise the differences in the overlaps.
 
 use super::BatchError;
 use heliosplat::Raster;
@@ -12,18 +12,18 @@ use heliosplat_raster::{RasterError, RasterFile};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Cells of an overlap that are compared, at most, in each direction.
+/// Approximate number of cells of an overlap that are compared in each direction.
 const COMPARED: isize = 300;
-/// Fewer cells do not tell a gain.
+/// Fewest compared cells of an overlap from which a ratio is estimated.
 const LEAST_CELLS: usize = 50;
-/// Colours darker than this tell no ratio.
+/// Colours at or below this value give no ratio.
 const DARK: f32 = 1e-4;
-/// Share of the squared residual at which gains have settled: a ten-billionth of what tiles differ by.
+/// Fraction of the initial squared residual at which the solver stops: 1e-10 of the initial residual.
 const SETTLED: f64 = 1e-20;
-/// Most steps of their solver per tile: one would do without rounding.
+/// Most steps of the solver per tile; without rounding errors, one step per tile suffices.
 const MOST_STEPS_PER_TILE: usize = 4;
 
-/// A raster of every tile, in the order of the pieces; `None` where a tile has none.
+/// One raster of each tile, in the order of the pieces; `None` for tiles without it.
 pub struct Layer {
     rasters: Vec<Option<Raster>>,
 }
@@ -31,16 +31,16 @@ pub struct Layer {
 /// Rule that merges the rasters of overlapping tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Merge {
-    /// The mean.
+    /// Weighted mean.
     Mean,
-    /// Yes or no, as most of the weight says.
+    /// Weighted majority of a mask: 1 or 0.
     Majority,
     /// Value of the tile with the largest weight, for rasters without a mean, such as days.
     Heaviest,
 }
 
 impl Layer {
-    /// Reads `name` of every tile.
+    /// Reads the raster `name` of every tile below `out`.
     ///
     /// # Errors
     /// When a file is damaged or not on the grid of its tile's surface model.
@@ -64,7 +64,7 @@ impl Layer {
         Ok(Self { rasters })
     }
 
-    /// Bands that all rasters have; none without rasters.
+    /// Number of bands that all rasters have; 0 without rasters.
     fn bands(&self) -> usize {
         self.rasters
             .iter()
@@ -79,8 +79,8 @@ impl Layer {
         raster.map_or(f32::NAN, |raster| pieces[index].value_of(raster, band, col, row))
     }
 
-    /// Multiplies every tile's bands so that tiles agree where they overlap; returns the gains, band by band. Their geometric mean over
-    /// tiles is one.
+    /// Multiplies every band of every tile by the gain with which overlapping tiles agree best, and returns the gains
+    /// by tile and band. Their geometric mean over the tiles is 1 for each band.
     pub fn balance(&mut self, pieces: &[Piece], gsd_m: f32) -> Vec<Vec<f64>> {
         let bands = self.bands();
         let mut gains = vec![vec![1.0; bands]; self.rasters.len()];
@@ -96,7 +96,7 @@ impl Layer {
         gains
     }
 
-    /// Ratios of a band in the overlaps of tiles, over cells where both tiles show the same surface: indices of the two
+    /// Ratios of a band in the overlaps of tiles, over cells where both tiles show one surface: indices of the two
     /// tiles, median of the natural logarithm of first over second, number of cells.
     fn ratios(&self, pieces: &[Piece], band: usize, gsd_m: f32) -> Vec<(usize, usize, f64, usize)> {
         let span = |a: usize, b: usize, axis: usize| {
@@ -132,7 +132,7 @@ impl Layer {
         told.collect()
     }
 
-    /// One raster of all.
+    /// Raster of `width` by `height` cells, merged from all tiles; NaN at cells without a value.
     pub fn merged(&self, pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32, merge: Merge) -> Raster {
         let bands = self.bands();
         let mut out = Raster::filled(width, height, bands, f32::NAN);
@@ -171,8 +171,9 @@ impl Layer {
     }
 }
 
-/// The logarithms of gains with which what was told of pairs agrees best: `x_a - x_b = -log(a / b)` by least squares over the cells, solved
-/// by conjugate gradients (Hestenes and Stiefel 1952). From zero these stay at a mean of zero, in each part of the tiles that overlaps no other.
+/// Natural logarithms of the gains of tiles: least-squares solution of `x_a - x_b = -log(a / b)` over the compared
+/// cells, by conjugate gradients (Hestenes and Stiefel 1952). The solver starts at zero, so that the mean over each
+/// connected group of overlapping tiles stays zero.
 fn balanced_gains(ratios: &[(usize, usize, f64, usize)], count: usize) -> Vec<f64> {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let mut logs = vec![0.0; count];
@@ -212,7 +213,7 @@ fn balanced_gains(ratios: &[(usize, usize, f64, usize)], count: usize) -> Vec<f6
 mod tests {
     use super::*;
 
-    /// Two tiles of 30 x 20 cells of level ground whose cores meet at column 20, and what they show.
+    /// Two tiles of 30 x 20 cells of level ground whose cores meet at column 20, and a layer of one value per tile.
     fn pair(values: [f32; 2]) -> (Vec<Piece>, Layer) {
         let piece = |at: isize, core: [isize; 2], bounds: [isize; 2]| {
             let mut raster = Raster::filled(30, 20, 4, 100.0);
@@ -244,7 +245,7 @@ mod tests {
     #[test]
     fn gains_of_ten_thousand_tiles_are_found() {
         const SIDE: usize = 100;
-        // A slope from one corner to the other and a ripple: the slowest and the fastest that neighbours can carry.
+        // A slope across the area and a ripple: the lowest and the highest spatial frequency of the gains.
         let gain = |k: usize| 0.01 * (k % SIDE) as f64 - 0.02 * (k / SIDE) as f64 + 0.1 * ((7 * k) % 11) as f64;
         let mean = (0..SIDE * SIDE).map(gain).sum::<f64>() / (SIDE * SIDE) as f64;
         let mut ratios = Vec::new();

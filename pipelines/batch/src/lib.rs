@@ -1,8 +1,9 @@
-//! Many trainings at once: areas × images × presets, cut into tiles, each tile a unit of work that can be done anywhere and again.
+//! Batch reconstruction of areas × images × presets, cut into tiles. Each tile is a unit of work that can run on any
+//! machine and can be repeated.
 //!
-//! A unit is one command (`heliosplat batch MANIFEST --out FOLDER --only UNIT`) with its inputs hashed: it writes into a folder of its
-//! own, its stamp (`unit.json`) last. So a unit that is finished is known by its stamp, one that was interrupted goes on from its
-//! checkpoint, and a batch that was killed is taken up by the same command.
+//! A unit is one command (`heliosplat batch MANIFEST --out FOLDER --only UNIT`) with hashed inputs and a folder of its
+//! own; it writes its stamp (`unit.json`) last. A finished unit is recognised by its stamp, an interrupted one resumes
+//! from its checkpoint, and the same command resumes a batch that was killed.
 
 pub mod driver;
 pub mod layers;
@@ -27,52 +28,52 @@ use heliosplat_raster::RasterError;
 use heliosplat_satellite::SatelliteError;
 use heliosplat_scene::SceneError;
 
-/// Why a batch cannot be planned, or a unit of it not be done.
+/// Failure to plan a batch or to run one of its units.
 #[derive(Debug, thiserror::Error)]
 pub enum BatchError {
-    /// A manifest, an area or a unit that cannot be used, with the remedy.
+    /// Unusable manifest, area or unit; the message names the remedy.
     #[error("{0}")]
     Refused(String),
     /// Stopped by the user.
     #[error("{0}")]
     Interrupted(String),
-    /// A process that cannot be started, or failed.
+    /// The process or a file of a unit failed.
     #[error("{0}")]
     Failed(String),
-    /// A training at fault.
+    /// Error of the satellite pipeline.
     #[error(transparent)]
     Satellite(#[from] SatelliteError),
-    /// A training that was not finished.
+    /// Training that did not finish.
     #[error(transparent)]
     Training(#[from] TrainingError),
-    /// Settings at fault.
+    /// Invalid settings.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// A run at fault.
+    /// Run folder that cannot be used or written.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A page that cannot be written.
+    /// Page that cannot be written.
     #[error(transparent)]
     View(#[from] ViewError),
-    /// A model that cannot be lit.
+    /// Model that cannot be relit.
     #[error(transparent)]
     Relight(#[from] RelightError),
-    /// A model that cannot be exported.
+    /// Model that cannot be exported.
     #[error(transparent)]
     Export(#[from] ExportError),
-    /// A surface that cannot be compared with truth.
+    /// Surface model that cannot be compared with truth.
     #[error(transparent)]
     Evaluate(#[from] EvaluateError),
-    /// A scene at fault.
+    /// Unusable scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A raster at fault.
+    /// Raster that cannot be read or written.
     #[error(transparent)]
     Raster(#[from] RasterError),
 }
 
 impl BatchError {
-    /// A unit that the plan does not have.
+    /// Error for a unit that is not in the plan.
     fn no_unit(id: &str) -> Self {
         Self::Refused(format!("--only {id}: the plan has no such unit; see them with --plan"))
     }

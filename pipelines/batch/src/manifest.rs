@@ -1,4 +1,4 @@
-//! The manifest of a batch: areas, sets of images, presets.
+//! Manifest of a batch: areas, sets of images, presets.
 
 use super::BatchError;
 use bytesize::ByteSize;
@@ -13,9 +13,9 @@ use heliosplat_scene::{AreaRequest, RpcPreference};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Cores of tiles are not cut smaller than this many metres: then the overlap would be most of a tile.
+/// Least side of a tile's core, metres: of a smaller tile, the overlap would be the largest part.
 pub(super) const LEAST_SIDE_M: f64 = 24.0;
-/// Longest name of an area, a set of images or a preset.
+/// Most characters in the name of an area, a set of images or a preset.
 const LONGEST_NAME: usize = 64;
 /// Prefixes of the object stores that products may be copied to. Paths on disk are refused: a batch writes only to its
 /// own folder.
@@ -33,7 +33,7 @@ const OBJECT_STORES: [&str; 7] = [
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Folder on an object store, as GDAL names it, that products are copied to.
+    /// Folder on an object store to which products are copied, as a GDAL path such as `/vsis3/BUCKET/FOLDER`.
     #[serde(default)]
     pub deliver: Option<String>,
     /// Tiling of the areas.
@@ -42,12 +42,12 @@ pub struct Manifest {
     /// Products of tiles and mosaics.
     #[serde(default)]
     pub products: ProductOptions,
-    /// Pieces of ground; without any, all that the images show.
+    /// Areas of ground; without any, all ground that the images show.
     #[serde(default)]
     pub areas: Vec<AreaEntry>,
     /// Sets of images.
     pub images: Vec<ImagesEntry>,
-    /// Ways to train; without any, the default preset.
+    /// Presets to run; without any, `balanced`.
     #[serde(default)]
     pub presets: Vec<PresetEntry>,
 }
@@ -56,15 +56,15 @@ pub struct Manifest {
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TileOptions {
-    /// Memory that the training of one tile may take, such as `4GiB`.
+    /// Most memory for one tile, such as `4GiB`.
     pub memory: String,
-    /// Ground that a tile shares with each of its neighbours beyond the line between them, metres.
+    /// Margin of a tile around its core, metres; two neighbours overlap by twice as much.
     pub overlap_m: f64,
-    /// Largest side of a tile without what it shares, metres.
+    /// Largest side of a tile's core, metres; absent: unlimited.
     pub side_m: Option<f64>,
-    /// Largest distance between a tile's pinhole cameras and its rational ones, pixels.
+    /// Largest residual of a tile's pinhole cameras against the RPCs, pixels.
     pub residual_px: f64,
-    /// Ground sampling distance of the mosaic, metres; absent: that of the images, in whole centimetres.
+    /// Width of a cell of the mosaic, metres; absent: ground sampling distance of the images, in whole centimetres.
     pub gsd_m: Option<f64>,
 }
 
@@ -84,59 +84,60 @@ impl Default for TileOptions {
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProductOptions {
-    /// Surface models and nothing else.
+    /// True if surface models are the only products.
     pub dsm_only: bool,
-    /// Azimuth and elevation of the sun of a relit ortho image, degrees; absent: there is none.
+    /// Azimuth and elevation of the sun of a relit ortho image, degrees; absent: no relit image.
     pub sun: Option<[f64; 2]>,
-    /// Geoid that heights of mosaics refer to; absent: the ellipsoid.
+    /// Geoid to which heights of mosaics refer; absent: the ellipsoid.
     pub geoid: Option<Geoid>,
-    /// Days whose hours of sun mosaics get, `FROM/TO` or one day; absent: none.
+    /// Day, or period `FROM/TO`, of the map of sun hours of mosaics; absent: no such map.
     pub sun_hours: Option<String>,
-    /// True if mosaics get 3D Tiles: splats, and the textured surface.
+    /// True if mosaics are also written as 3D Tiles: splats and textured surface.
     pub globe: bool,
 }
 
-/// A piece of ground.
+/// Area of ground.
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AreaEntry {
-    /// Its name, which is also its folder's.
+    /// Name of the area and of its folder.
     pub name: String,
-    /// West, south, east, north; absent: all that the images show.
+    /// West, south, east, north, in units of `crs`; absent: all ground that the images show.
     pub bounds: Option<[f64; 4]>,
-    /// Their coordinate reference system; absent: degrees.
+    /// Coordinate reference system of the bounds; absent: longitude and latitude, degrees.
     pub crs: Option<String>,
     /// Lowest and highest ellipsoidal altitude, metres.
     pub altitude_m: Option<[f64; 2]>,
-    /// The sets of images that show it; absent: all.
+    /// Names of the sets of images to use; absent: all.
     pub images: Option<Vec<String>>,
 }
 
-/// A set of images.
+/// Set of images.
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImagesEntry {
-    /// Its name, which is also its folder's.
+    /// Name of the set and of its folder.
     pub name: String,
-    /// A scene as `train` takes it; relative to the manifest.
+    /// Path of the scene, as for `train`; relative to the manifest.
     pub scene: PathBuf,
     /// Preferred camera model where the sources of an image differ: `json`, `image`, `sidecar` or `tag`.
     pub rpc: Option<String>,
 }
 
-/// A way to train.
+/// Preset with its overrides.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PresetEntry {
-    /// Its name, which is also its folder's.
+    /// Name of the entry and of its folder.
     pub name: String,
-    /// `preview`, `fast`, `balanced`, `accurate`, `best`, or `sweep` for surface models without training; absent: its name.
+    /// `preview`, `fast`, `balanced`, `accurate`, `best`, or `sweep` for surface models without training; absent:
+    /// `name`.
     #[serde(default)]
     pub preset: Option<String>,
-    /// Seed of everything random.
+    /// Seed of the random numbers.
     #[serde(default = "first_seed")]
     pub seed: u64,
-    /// Overrides of its settings, as `--set` takes them.
+    /// Overrides of settings by their keys, as for `--set`.
     #[serde(default)]
     pub set: BTreeMap<String, toml::Value>,
 }
@@ -149,20 +150,20 @@ fn first_seed() -> u64 {
 }
 
 impl PresetEntry {
-    /// The preset it begins with.
+    /// Name of the preset before the overrides.
     pub fn base(&self) -> &str {
         self.preset.as_deref().unwrap_or(&self.name)
     }
 
-    /// True if it makes surface models without training.
+    /// True if it computes surface models without training.
     pub fn is_sweep(&self) -> bool {
         self.base() == SWEEP
     }
 
-    /// The preset whose settings it takes; a sweep has those of the fastest complete training, as `dsm --from sweep` has.
+    /// Preset before the overrides; a sweep uses the settings of preset `fast`, as does `dsm --from sweep`.
     ///
     /// # Errors
-    /// When there is no preset of that name.
+    /// When no preset has this name.
     pub fn parsed(&self) -> Result<Preset, heliosplat_fitting::settings::ConfigError> {
         if self.is_sweep() {
             Ok(Preset::Fast)
@@ -171,23 +172,23 @@ impl PresetEntry {
         }
     }
 
-    /// Its changes, as `--set` takes them.
+    /// Overrides as pairs of key and value, as for `--set`.
     pub fn changes(&self) -> Vec<(String, String)> {
         let text = |value: &toml::Value| value.to_string();
         self.set.iter().map(|(key, value)| (key.clone(), text(value))).collect()
     }
 
-    /// The whole configuration.
+    /// Complete configuration, with overrides and seed.
     ///
     /// # Errors
-    /// When a key or a value means nothing.
+    /// When the preset, a key or a value is invalid.
     pub fn config(&self) -> Result<SatelliteConfig, heliosplat_fitting::settings::ConfigError> {
         SatelliteConfig::resolve(self.parsed()?, &self.changes(), self.seed)
     }
 }
 
 impl AreaEntry {
-    /// Its bounds, if it has some.
+    /// Bounds with their coordinate reference system, if stated.
     pub fn request(&self) -> Option<AreaRequest> {
         Some(AreaRequest {
             bounds: self.bounds?,
@@ -197,7 +198,7 @@ impl AreaEntry {
 }
 
 impl ImagesEntry {
-    /// Preferred camera model where the sources of an image differ.
+    /// Preferred camera model if the sources of an image differ; `json` unless stated.
     pub fn preference(&self) -> RpcPreference {
         match self.rpc.as_deref() {
             Some("image") => RpcPreference::Image,
@@ -209,17 +210,17 @@ impl ImagesEntry {
 }
 
 impl TileOptions {
-    /// Memory of one tile, bytes.
+    /// Most memory for one tile, bytes; `None` if it is no size.
     pub fn memory_bytes(&self) -> Option<u64> {
         bytes(&self.memory).ok()
     }
 }
 
 impl Manifest {
-    /// Manifest parsed from its text and checked; paths stay as written.
+    /// Parses a manifest and checks it; paths stay as written.
     ///
     /// # Errors
-    /// A sentence that says what is wrong, and where.
+    /// Message with the fault and its place: the line, or the key or entry.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut manifest: Self = toml::from_str(text).map_err(|error| {
             let line = error
@@ -251,10 +252,10 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// Reads a manifest; its paths come back resolved against its folder.
+    /// Reads a manifest, checks it, and resolves its paths against its folder.
     ///
     /// # Errors
-    /// Where it cannot be read or understood.
+    /// When it cannot be read, or is invalid.
     pub fn read(path: &Path) -> Result<Self, BatchError> {
         let fault = |reason: String| BatchError::Refused(format!("{}: {reason}", path.display()));
         let text = read_text(path).map_err(|error| fault(error.to_string()))?;
@@ -351,10 +352,11 @@ impl Manifest {
     }
 }
 
-/// A size such as `512MiB`, `4GiB`, `500MB`; a bare number is bytes. `k`, `M` and `G` alone are powers of 1000, as `kB`, `MB` and `GB` are.
+/// Parses a size such as `512MiB`, `4GiB` or `500MB` to bytes; a bare number is bytes. `k`, `M` and `G` alone are
+/// powers of 1000, like `kB`, `MB` and `GB`.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user, if the text is no size above zero.
 pub fn bytes(text: &str) -> Result<u64, String> {
     match text.trim().parse::<ByteSize>() {
         Ok(size) if size.as_u64() > 0 => Ok(size.as_u64()),
@@ -362,7 +364,7 @@ pub fn bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// Names become folders below the one to write to: they must be plain, and no two the same.
+/// Checks names. They become folders of the batch, so they must be plain, and unique on file systems that ignore case.
 fn names<'n>(what: &str, names: impl Iterator<Item = &'n String>) -> Result<(), String> {
     let mut known = BTreeSet::new();
     for name in names {

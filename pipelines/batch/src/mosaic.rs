@@ -1,4 +1,4 @@
-//! The surface model of an area, merged from those of its tiles.
+//! Surface model of an area, merged from the surface models of its tiles.
 
 use super::BatchError;
 use super::plan::{MosaicTile, MosaicWork};
@@ -9,21 +9,21 @@ use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::{Crs, GeoRaster, GeoTransform, GridSpec, RasterError};
 use std::path::Path;
 
-/// A mosaic and what it was made of.
+/// Mosaic with its grid and tiles.
 pub struct Mosaic {
-    /// The surface model.
+    /// Blended surface model.
     pub dsm: Dsm,
-    /// Grid of the mosaic, without any vertical datum.
+    /// Grid of the mosaic, without a vertical datum.
     pub grid: GridSpec,
-    /// The tiles.
+    /// Surface models of the tiles on the grid.
     pub pieces: Vec<Piece>,
 }
 
 impl Mosaic {
-    /// The altitudes above the ellipsoid, whatever the surface model is above.
+    /// Altitudes above the ellipsoid, metres, for any vertical datum of the surface model.
     ///
     /// # Errors
-    /// When the geoid's grid is missing.
+    /// When the geoid's grid cannot be used.
     pub fn above_ellipsoid(&self) -> Result<Raster, RasterError> {
         let mut altitude = self.dsm.altitude();
         if let Some(geoid) = self.dsm.geoid {
@@ -36,10 +36,10 @@ impl Mosaic {
     }
 }
 
-/// Blends the surface models of tiles.
+/// Blends the surface models of tiles; heights of the mosaic are above the ellipsoid.
 ///
 /// # Errors
-/// When a tile cannot be read.
+/// When a tile cannot be read or the coordinate reference system is unknown.
 pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
     let mut pieces = Vec::with_capacity(work.tiles.len());
     for tile in &work.tiles {

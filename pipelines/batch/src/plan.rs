@@ -1,4 +1,4 @@
-//! The units of a batch, in an order in which they can be done.
+//! Units of a batch, in an order in which they can run.
 
 use super::BatchError;
 use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions};
@@ -16,7 +16,8 @@ use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Bytes per cell of a mosaic while its surface model is made: three bands of tiles and of the mosaic, weights, the file in memory.
+/// Memory of a mosaic for each cell while its surface model is made, bytes: three bands of tiles and of the mosaic,
+/// weights, the file in memory.
 const MOSAIC_BYTES_PER_CELL: f64 = 120.0;
 /// Memory of a mosaic for each cell and band of its albedo, bytes.
 const MOSAIC_BYTES_PER_CELL_AND_BAND: f64 = 24.0;
@@ -24,7 +25,7 @@ const MOSAIC_BYTES_PER_CELL_AND_BAND: f64 = 24.0;
 const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
 /// Seconds of any unit: starting, reading, writing.
 const LEAST_S: f64 = 5.0;
-/// Seconds per Gaussian and step of a training on one core, roughly: how fast the machine is does not count.
+/// Approximate seconds per Gaussian and step of a training on one core; the speed of the machine is not measured.
 const STEP_S_PER_GAUSSIAN: f64 = 1.8e-6;
 /// Name of the unit that corrects the pointing of the images.
 const ADJUST: &str = "adjust";
@@ -32,43 +33,45 @@ const ADJUST: &str = "adjust";
 const ADJUST_S_PER_PIXEL: f64 = 2e-5;
 /// Seconds per pixel of the windows of a sweep on one core.
 const SWEEP_S_PER_PIXEL: f64 = 1e-5;
-/// Steps that take as long as the rest of a training does for each of its images: start, albedo, evaluation.
+/// Time of the other stages of a training (start, albedo, evaluation) for each image, in steps.
 const STEPS_PER_VIEW: f64 = 10.0;
-/// Seconds per cell of a mosaic, and of each raster besides its surface model.
+/// Seconds per cell of each raster of a mosaic.
 const MOSAIC_S_PER_CELL: f64 = 2e-6;
-/// Name of the file that keeps a plan, and its largest size, bytes: a million units.
+/// Name of the file that keeps a plan, and its largest size, bytes: space for a million units.
 const FILE: &str = "plan.json";
 const FILE_MAX: u64 = 2 << 30;
-/// Folder of what the process of one unit reads of a plan: what it was made of, and a file for each unit. No area has such a name.
+/// Folder with the inputs of a plan and one file per unit, so that the process of a unit need not read the whole plan.
+/// Names of areas cannot begin with a dot, so it is never the folder of an area.
 const PARTS: &str = ".plan";
-/// Name there of what it was made of.
+/// Name of the file in [`PARTS`] with the inputs of the plan.
 const MADE: &str = "made.json";
 /// Most files and folders of a refused scene that are watched for changes.
 const LISTED_MAX: usize = 10_000;
 
-/// The plan of a batch: its units, in an order in which they can be run.
+/// Plan of a batch: its units, in an order in which they can run.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Plan {
-    /// The units, each after those that it waits for.
+    /// Units of the batch, each after the units that it waits for.
     pub units: Vec<Unit>,
 }
 
-/// One thing to be done.
+/// Unit of work of a batch.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Unit {
-    /// Its name, and its folder below the batch's: area, images, preset, part.
+    /// Name, and folder below the folder of the batch: `AREA/IMAGES/PRESET/PART`; without preset for units that all
+    /// presets share.
     pub id: String,
     /// Task of the unit.
     pub work: Work,
-    /// The units that must be finished before.
+    /// Names of the units that must be finished before.
     pub after: Vec<String>,
-    /// Memory it will take, MiB.
+    /// Estimated peak memory, MiB.
     pub mem_mb: u64,
-    /// Time it will take, seconds: a rough figure for one core, for workflow engines that ask for one.
+    /// Estimated time on one core, seconds: a rough figure, for workflow engines that need one.
     pub runtime_s: u64,
-    /// Names its inputs and its settings: another key is other work.
+    /// Digest of program, inputs and settings; a stamp with another key is not of this work.
     pub key: String,
-    /// Folder on an object store that its products are copied to.
+    /// Folder on an object store to which the products are copied.
     pub deliver: Option<String>,
 }
 
@@ -80,25 +83,25 @@ pub enum Work {
     Adjust(AdjustWork),
     /// Trains a tile and writes its surface model.
     Tile(TileWork),
-    /// Makes one surface model of those of the tiles.
+    /// Merges the surface models and products of the tiles.
     Mosaic(MosaicWork),
-    /// A scene that cannot be used.
+    /// Unusable scene; the unit fails when it runs.
     Refused {
-        /// Why.
+        /// Reason of the refusal, for the user.
         reason: String,
     },
 }
 
-/// The work of an adjustment.
+/// Work of an adjustment.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AdjustWork {
-    /// The scene.
+    /// Path of the scene.
     pub scene: PathBuf,
-    /// Ground on which ties are sought.
+    /// Rectangles of ground in which tie points are sought.
     pub patches: Vec<AreaRequest>,
-    /// Lowest and highest ellipsoidal altitude, metres.
+    /// Stated lowest and highest ellipsoidal altitude, metres.
     pub altitude_m: Option<[f64; 2]>,
-    /// Altitude range from tie points, if none is stated.
+    /// Lowest and highest altitude from tie points, metres, if none is stated.
     pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Preferred camera model of the images.
     pub rpc: RpcPreference,
@@ -106,59 +109,59 @@ pub struct AdjustWork {
     pub preset: PresetEntry,
 }
 
-/// The work of a tile.
+/// Work of a tile.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TileWork {
-    /// The scene.
+    /// Path of the scene.
     pub scene: PathBuf,
-    /// Its ground.
+    /// Ground of the tile, with its overlap.
     pub area: AreaRequest,
-    /// Lowest and highest ellipsoidal altitude, metres.
+    /// Stated lowest and highest ellipsoidal altitude, metres.
     pub altitude_m: Option<[f64; 2]>,
-    /// Altitude range from tie points of the whole area, if none is stated.
+    /// Lowest and highest altitude from tie points of the whole area, metres, if none is stated.
     #[serde(default)]
     pub altitude_from_ties_m: Option<(f64, f64)>,
     /// Preferred camera model of the images.
     pub rpc: RpcPreference,
-    /// The unit that corrected the pointing of its images; `None` where it corrects them itself.
+    /// Name of the unit that corrected the pointing of the images; `None` if the tile corrects it.
     pub cameras: Option<String>,
     /// Preset of the training.
     pub preset: PresetEntry,
-    /// Coordinate reference system of its surface model.
+    /// Coordinate reference system of the surface model.
     pub crs: String,
-    /// Width of a cell of it, metres.
+    /// Width of a cell of the surface model, metres.
     pub gsd_m: f64,
-    /// Products of the model.
+    /// Products to write for the tile.
     pub products: ProductOptions,
 }
 
-/// The work of a mosaic.
+/// Work of a mosaic.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MosaicWork {
-    /// The tiles.
+    /// Tiles to merge.
     pub tiles: Vec<MosaicTile>,
     /// Coordinate reference system.
     pub crs: String,
     /// Width of a cell, metres.
     pub gsd_m: f64,
-    /// West, south, east, north.
+    /// West, south, east, north of the mosaic, in units of `crs`.
     pub bounds: [f64; 4],
-    /// True altitudes, where the scene has them.
+    /// True surface model of the scene, if it has one.
     pub truth: Option<PathBuf>,
-    /// Classes, where the scene has them.
+    /// Raster of ground classes of the scene, if it has one.
     pub classes: Option<PathBuf>,
-    /// Products of the mosaic.
+    /// Products to write for the mosaic.
     pub products: ProductOptions,
 }
 
-/// A tile as its mosaic knows it.
+/// Unit and bounds of a tile of a mosaic.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MosaicTile {
-    /// Its unit.
+    /// Name of the tile's unit.
     pub unit: String,
-    /// West, south, east, north of what is its alone.
+    /// West, south, east, north of the core, in units of the mosaic's `crs`. Cores do not overlap.
     pub core: [f64; 4],
-    /// Bounds of the whole area.
+    /// West, south, east, north of the core with its overlap, in the same units.
     pub bounds: [f64; 4],
 }
 
@@ -171,14 +174,15 @@ struct Made {
     files: BTreeMap<PathBuf, Seen>,
 }
 
-/// A plan or a unit in a file, with the digest of what the plan was made of.
+/// Plan or unit in a file, with the digest of the inputs of the plan.
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Part<T> {
     made: String,
     content: T,
 }
 
-/// The units of a plan by their names, each read from a file of its own: a unit costs the same in a plan of any size.
+/// Units of a plan by their names. Each is read from its own file, at a cost that is independent of the size of the
+/// plan.
 pub struct Units<'a> {
     manifest: &'a Path,
     out: &'a Path,
@@ -186,20 +190,20 @@ pub struct Units<'a> {
 }
 
 impl<'a> Units<'a> {
-    /// Units of the plan in `out`, if it is that of the manifest.
+    /// Opens the units of the plan kept in `out`, if it was made from this manifest.
     ///
     /// # Errors
-    /// When the manifest is at fault.
+    /// When the manifest cannot be read or is invalid.
     pub fn open(manifest: &'a Path, out: &'a Path) -> Result<Self, BatchError> {
         let text = format!("{:?}", Manifest::read(manifest)?);
         let made = Made::kept(out, &text).map(|made| made.digest());
         Ok(Self { manifest, out, made })
     }
 
-    /// A unit by its name; the whole is planned where no plan is kept.
+    /// Unit with this name. Without a kept plan, the whole batch is planned.
     ///
     /// # Errors
-    /// Where the plan has no such unit.
+    /// When the plan has no such unit.
     pub fn unit(&self, id: &str) -> Result<Unit, BatchError> {
         let plain = !Path::new(id).is_absolute() && !id.contains("..");
         let kept = self.made.as_ref().filter(|_| plain);
@@ -212,7 +216,7 @@ impl<'a> Units<'a> {
     }
 }
 
-/// The file of a unit of a plan.
+/// File of a unit of a plan.
 fn part_of(out: &Path, id: &str) -> PathBuf {
     out.join(PARTS).join(format!("{id}.json"))
 }
@@ -240,11 +244,11 @@ impl Made {
 }
 
 impl Plan {
-    /// The plan of a manifest; one that was made before for the same files is read from `out`. A kept plan with refused areas is made
-    /// again where `retry` is set, or a file of such an area has changed.
+    /// Plan of a manifest. A plan kept in `out` is used while program, manifest and files are unchanged; with `retry`,
+    /// a kept plan with refused scenes is made again.
     ///
     /// # Errors
-    /// When the manifest is at fault.
+    /// When the manifest cannot be read or is invalid.
     pub fn of(manifest_path: &Path, out: &Path, retry: bool) -> Result<Self, BatchError> {
         let manifest = Manifest::read(manifest_path)?;
         let text = format!("{manifest:?}");
@@ -262,13 +266,13 @@ impl Plan {
             manifest: digest(&text),
             files: files.into_iter().map(|path| (path.clone(), seen(&path))).collect(),
         };
-        // They only save time: a folder that cannot be written is told of by the units.
+        // Kept files only save time; the units report a folder that cannot be written.
         let _ = hashes.save(out);
         let _ = plan.keep(out, &made);
         Ok(plan)
     }
 
-    /// Keeps the plan in `out`, as a whole and unit by unit; what it was made of last.
+    /// Writes the plan to `out`, as a whole and unit by unit, then its inputs, which make it valid.
     fn keep(&self, out: &Path, made: &Made) -> std::io::Result<()> {
         let digest = made.digest();
         let folder = out.join(PARTS);
@@ -290,7 +294,7 @@ fn part<T: serde::Serialize>(made: &str, content: &T) -> serde_json::Result<Vec<
 }
 
 impl Unit {
-    /// The reason why its scene cannot be used, if it cannot.
+    /// Reason of the refusal if the scene cannot be used.
     pub fn refusal(&self) -> Option<&str> {
         match &self.work {
             Work::Refused { reason } => Some(reason),
@@ -299,7 +303,7 @@ impl Unit {
     }
 }
 
-/// All units, and the files that decided them. A scene that is at fault becomes a unit that fails, and stops no other.
+/// All units, and the files on which the plan depends. An unusable scene becomes a unit that fails; it stops no other.
 fn make(manifest: &Manifest, hashes: &mut Hashes) -> (Plan, Vec<PathBuf>) {
     let (mut units, mut files) = (Vec::new(), Vec::new());
     for area in &manifest.areas {
@@ -323,13 +327,13 @@ fn make(manifest: &Manifest, hashes: &mut Hashes) -> (Plan, Vec<PathBuf>) {
     (Plan { units }, files)
 }
 
-/// The files and folders of a scene that cannot be used, [`LISTED_MAX`] at most: when one changes, the scene is tried again.
+/// Files and folders of an unusable scene, [`LISTED_MAX`] at most. When one changes, the scene is tried again.
 fn around(scene: &Path) -> Vec<PathBuf> {
     let mut found = vec![scene.to_owned()];
     let mut next = 0;
     while next < found.len() && found.len() < LISTED_MAX {
         let entries = std::fs::read_dir(&found[next]).into_iter().flatten().flatten();
-        // A link may lead back to where it is.
+        // A link may lead back to its own folder.
         let entries = entries.filter(|entry| entry.file_type().is_ok_and(|kind| !kind.is_symlink()));
         found.extend(entries.map(|entry| entry.path()));
         next += 1;
@@ -337,7 +341,7 @@ fn around(scene: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The units of an area and a set of images, for all presets.
+/// Units of an area and a set of images for all presets, and the files of the scene.
 fn units_of(
     manifest: &Manifest,
     area: &AreaEntry,
@@ -350,7 +354,7 @@ fn units_of(
         rpc: images.preference(),
         area: area.request(),
     };
-    // Once for all tiles, so that they are parts of one surface.
+    // Once for all tiles, so that they have one altitude range.
     let index = Index::open(&images.scene, options.rpc)?;
     let options = altitude::resolve(&index, &options)?;
     let survey = Survey::of(&index, &options)?;
@@ -405,7 +409,7 @@ fn refused(area: &AreaEntry, images: &ImagesEntry, error: &BatchError) -> Unit {
     }
 }
 
-/// The products of a preset: a sweep has surface models alone.
+/// Products of a preset; a sweep has only surface models.
 fn products_of(preset: &PresetEntry, asked: &ProductOptions) -> ProductOptions {
     match preset.is_sweep() {
         true => ProductOptions {
@@ -420,10 +424,10 @@ fn products_of(preset: &PresetEntry, asked: &ProductOptions) -> ProductOptions {
 struct Combination<'a> {
     area: &'a AreaEntry,
     images: &'a ImagesEntry,
-    /// The altitudes of the whole area, where tie points gave them, metres.
+    /// Lowest and highest altitude of the whole area from tie points, metres.
     altitude_from_ties_m: Option<(f64, f64)>,
     preset: &'a PresetEntry,
-    /// The files that say something about the scene, and their hashes.
+    /// Digest of the files of the scene.
     inputs: &'a str,
     config: String,
     products: ProductOptions,
@@ -431,7 +435,7 @@ struct Combination<'a> {
 }
 
 impl Combination<'_> {
-    /// One correction of the pointing for all tiles, whatever their preset.
+    /// Unit that corrects the pointing for all tiles of all presets.
     fn adjust(&self, id: String, tiling: &Tiling, survey: &Survey, config: &SatelliteConfig) -> Unit {
         let patches = tiles::patches(tiling, survey.gsd_m);
         let surveyed = patches.iter().filter_map(|patch| survey.tile(patch).ok()?);
@@ -499,7 +503,7 @@ impl Combination<'_> {
         let images = tiling.tiles.iter().map(|tile| tile.survey.images).max().unwrap_or(0);
         let (bands, rasters) = match self.products.dsm_only {
             true => (0.0, 1.0),
-            // Each image may be of a date of its own, which has shadows of its own.
+            // In the worst case each image has its own date, with a raster of shadows.
             false => (survey.bands as f64, (4 + survey.bands + images) as f64),
         };
         let bytes_per_cell = MOSAIC_BYTES_PER_CELL + MOSAIC_BYTES_PER_CELL_AND_BAND * bands;
@@ -569,7 +573,7 @@ impl Combination<'_> {
     }
 }
 
-/// Seconds of a tile's sweep or training, roughly.
+/// Approximate seconds of a tile's sweep or training on one core.
 fn tile_s(tile: &tiles::Tile) -> f64 {
     if tile.estimate.steps == 0 {
         return SWEEP_S_PER_PIXEL * tile.survey.pixels;

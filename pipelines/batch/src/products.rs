@@ -1,4 +1,4 @@
-//! GIS products of units: those of a tile's model, and those of the whole mosaic, merged from its tiles.
+//! GIS products of units: from the model of a tile, and of a mosaic, merged from its tiles.
 
 use super::BatchError;
 use super::layers::{Layer, Merge};
@@ -23,16 +23,16 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Folder of a tile's training, below the tile's own.
+/// Folder of a tile's training, below the folder of the tile.
 pub const RUN: &str = "run";
 /// Name of the point cloud.
 const POINTS: &str = "points.laz";
-/// Folder of pictures for people.
+/// Folder of preview pictures.
 pub const PICTURES: &str = "pictures";
 /// Folders of the 3D Tiles of a mosaic: splats, and the textured surface.
 const SPLATS: &str = "splats";
 const SURFACE: &str = "surface";
-/// Widest picture, pixels.
+/// Largest side of a picture, pixels.
 const PICTURE_PX: usize = 1600;
 /// Colour of shadows in pictures: red, green, blue.
 const SHADOW: [u8; 3] = [40, 80, 255];
@@ -46,7 +46,8 @@ fn sun_of([azimuth_deg, elevation_deg]: [f64; 2]) -> SunPosition {
     SunPosition::from_degrees(azimuth_deg, elevation_deg)
 }
 
-/// Writes the products of a tile's model; returns their names.
+/// Writes the products of a tile's model on cells of `gsd_m` metres in `crs`; `sun` is azimuth and elevation of a relit
+/// image, degrees. Returns the file names of the products.
 ///
 /// # Errors
 /// When one cannot be made or written.
@@ -68,7 +69,7 @@ pub fn of_tile(
     Ok(set.names)
 }
 
-/// Model files (bands, images, changes) of the tiles of a mosaic, and their run folders.
+/// Model files of the tiles of a mosaic, with their run folders.
 struct Models {
     files: Vec<ModelFile>,
     runs: Vec<PathBuf>,
@@ -81,7 +82,7 @@ impl Models {
         Ok(Self { files, runs })
     }
 
-    /// The days on which something changed, days since 1970.
+    /// Days of the changed segments, counted from 1970.
     fn days_of_change(&self) -> Vec<i32> {
         let changes = self.files.iter().filter_map(|file| file.changes.as_ref());
         changes
@@ -89,7 +90,7 @@ impl Models {
             .collect()
     }
 
-    /// The images of all, each once.
+    /// Images of all tiles, each once, in the order of their names.
     fn images(&self) -> Vec<ModelImage> {
         let mut images: BTreeMap<&str, &ModelImage> = BTreeMap::new();
         for image in self.files.iter().flat_map(|file| &file.images) {
@@ -99,10 +100,11 @@ impl Models {
     }
 }
 
-/// Writes the products of a mosaic; returns their names and what is worth knowing of them.
+/// Writes the products of a mosaic into `folder`. Returns their file names, and metrics: number of points, dates and
+/// albedo gains.
 ///
 /// # Errors
-/// When a tile's product cannot be read, or one be written.
+/// When a product of a tile cannot be read, or one of the mosaic cannot be written.
 pub fn of_mosaic(
     out: &Path,
     work: &MosaicWork,
@@ -192,7 +194,7 @@ pub fn of_mosaic(
     Ok((outputs, said))
 }
 
-/// Writes the 3D Tiles of a mosaic; returns the names of all files.
+/// Writes the 3D Tiles of a mosaic, and returns the names of their files in `folder`.
 fn globe(
     mosaic: &Mosaic,
     albedo: Raster,
@@ -232,7 +234,7 @@ fn globe(
     Ok(names)
 }
 
-/// Pictures of an ortho image, small enough to be looked at.
+/// Ortho image reduced to at most [`PICTURE_PX`] pixels a side, for previews.
 struct OrthoPreview {
     image: Raster,
     step: usize,
@@ -249,7 +251,7 @@ impl OrthoPreview {
         }
     }
 
-    /// Writes it, with shadows over it where there are some.
+    /// Writes it as `NAME.png`, with shadows over it if there are any.
     fn write(&self, name: &str, shadows: Option<&Raster>) -> Result<(), BatchError> {
         let mut picture = preview::stretched(&self.image);
         if let Some(shadows) = shadows {
@@ -259,7 +261,7 @@ impl OrthoPreview {
     }
 }
 
-/// Every so many cells of a raster.
+/// Raster of every `step`th column and row.
 fn every(raster: &Raster, step: usize) -> Raster {
     let (width, height) = (raster.width.div_ceil(step), raster.height.div_ceil(step));
     let mut out = Raster::filled(width, height, raster.bands, f32::NAN);

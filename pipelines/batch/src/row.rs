@@ -1,4 +1,4 @@
-//! The row of a unit in the table of a batch.
+//! Row of a unit in the table of a batch.
 
 use super::plan::{Unit, Work};
 use super::stamp::Stamp;
@@ -11,7 +11,7 @@ pub fn log_of(out: &Path, unit: &Unit) -> PathBuf {
     out.join(&unit.id).join("log.txt")
 }
 
-/// A unit of which nothing is known yet.
+/// Row of a unit that has not run.
 pub fn pending(unit: &Unit, out: &Path) -> Row {
     Row {
         unit: unit.id.clone(),
@@ -33,7 +33,7 @@ pub fn pending(unit: &Unit, out: &Path) -> Row {
     }
 }
 
-/// Notes the content of a unit's stamp.
+/// Sets the state of a row, and its figures from the stamp of its unit.
 pub fn finish(row: &mut Row, state: State, stamp: &Stamp) {
     let number = |pointer: &str| stamp.metrics.pointer(pointer).and_then(Value::as_f64);
     row.state = state;

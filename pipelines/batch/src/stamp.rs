@@ -15,39 +15,39 @@ pub const STAMP: &str = "unit.json";
 /// Stamp of a finished unit, written after all its products.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Stamp {
-    /// The unit.
+    /// Name of the unit.
     pub unit: String,
-    /// Its key when it was done.
+    /// Key of the unit when it ran.
     pub key: String,
-    /// The build of the program that did it; absent in stamps of versions that did not state it.
+    /// Build of the program that ran it; empty in stamps of versions that did not state it.
     #[serde(default)]
     pub build: String,
-    /// Its products.
+    /// Products of the unit.
     pub outputs: Vec<Output>,
-    /// Seconds it took, pauses not counted.
+    /// Duration without pauses, seconds.
     pub seconds: f64,
-    /// Most memory it used, bytes.
+    /// Peak memory, bytes.
     pub peak_rss_bytes: u64,
     /// Metrics, such as errors of the surface model.
     pub metrics: Value,
 }
 
-/// A product of a unit.
+/// Product file of a unit.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Output {
-    /// The file, below the unit's folder.
+    /// Path relative to the unit's folder.
     pub path: String,
-    /// Its size, bytes.
+    /// File size, bytes.
     pub bytes: u64,
-    /// Its SHA-256, hexadecimal.
+    /// SHA-256 of the file, hexadecimal.
     pub sha256: String,
 }
 
 impl Output {
-    /// A file below a unit's folder.
+    /// Describes the file at `path` below a unit's folder.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// When the file cannot be read.
     pub fn of(folder: &Path, path: &str) -> Result<Self, run_folder::RunError> {
         let file = folder.join(path);
         let sha256 = run_folder::hash(&file)?;
@@ -60,7 +60,8 @@ impl Output {
     }
 }
 
-/// The other build of the program that did a unit, if another did: its products are not mixed with those of this one.
+/// Build that finished a unit with another key, if it is not this build. Such a unit runs again, because products of
+/// two builds are not mixed.
 pub fn other_build(out: &Path, unit: &Unit) -> Option<String> {
     let stamp = read(&out.join(&unit.id))?;
     (stamp.key != unit.key && stamp.build != build()).then_some(stamp.build)
@@ -70,19 +71,19 @@ fn read(folder: &Path) -> Option<Stamp> {
     serde_json::from_slice(&read_bytes(&folder.join(STAMP), TEXT_MAX).ok()?).ok()
 }
 
-/// The stamp of a unit that is finished as it should be: of this key, its products there and as large as they were.
+/// Stamp of a unit if it is finished: name and key agree, and all products exist with their recorded sizes.
 pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
     let folder = out.join(&unit.id);
     let stamp = read(&folder)?;
     let there = |output: &Output| {
-        // A stamp is read back from the disk: it may name anything.
+        // A stamp comes from the disk and may name files outside of the folder.
         let plain = Path::new(&output.path).is_relative() && !output.path.contains("..");
         plain && std::fs::metadata(folder.join(&output.path)).is_ok_and(|data| data.len() == output.bytes)
     };
     (stamp.key == unit.key && stamp.unit == unit.id && stamp.outputs.iter().all(there)).then_some(stamp)
 }
 
-/// Waits until no other process works in `folder`; `None` when `stopped` says so first.
+/// Locks `folder`, and waits while another process holds the lock; `None` if `stopped` returns true first.
 ///
 /// # Errors
 /// When the lock cannot be made.

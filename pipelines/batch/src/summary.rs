@@ -1,4 +1,4 @@
-//! The results of a batch in its folder: tables, the page, and the collection of its mosaics.
+//! Results of a batch in its folder: tables, the page, and the STAC collection of its mosaics.
 
 use super::plan::{Plan, Unit};
 use super::row;
@@ -10,10 +10,10 @@ use heliosplat_raster::write::{deliver, write_atomically};
 use serde_json::Value;
 use std::path::Path;
 
-/// Name of the collection of all mosaics.
+/// Identifier of the STAC collection of all mosaics.
 pub(super) const COLLECTION: &str = "batch";
 
-/// The table of what is finished in `out`, whoever did it.
+/// Rows of all units of a plan, read from the stamps in `out`; units without a valid stamp are pending.
 pub fn of_stamps(plan: &Plan, out: &Path) -> Vec<Row> {
     let row = |unit: &Unit| {
         let mut row = row::pending(unit, out);
@@ -25,8 +25,8 @@ pub fn of_stamps(plan: &Plan, out: &Path) -> Vec<Row> {
     plan.units.iter().map(row).collect()
 }
 
-/// Writes `summary.csv`, `summary.json`, `summary.html` and, where mosaics have products, `collection.json`, which is delivered with
-/// them.
+/// Writes `summary.csv`, `summary.json` and `summary.html`. If mosaics have products, `collection.json` is written and
+/// delivered with them.
 ///
 /// # Errors
 /// When one cannot be written or delivered.
@@ -46,7 +46,7 @@ pub fn write(rows: &[Row], plan: &Plan, out: &Path) -> Result<(), RasterError> {
     write("summary.html", page(rows))
 }
 
-/// The STAC items of the mosaics that are done, with their folders.
+/// Folders and STAC items of the finished mosaics.
 fn items(rows: &[Row], out: &Path) -> Vec<(String, Value)> {
     let done = rows
         .iter()

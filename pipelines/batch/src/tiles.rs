@@ -1,8 +1,7 @@
 //! Tiles of an area: as few as fit into memory, small enough that pinhole cameras fit the RPCs.
 //!
-//! Cores lie on the cells of the mosaic's grid and share nothing; a tile is its core and what it shares with its neighbours. A tile
-//! also knows its neighbours' ground because shadows fall from there, and because the mosaic needs two opinions where it changes from
-//! one to the other.
+//! Cores are disjoint blocks of cells of the mosaic's grid; a tile is its core with a margin that overlaps its
+//! neighbours. The overlap holds objects that cast shadows into the core, and lets the mosaic blend neighbours.
 
 use super::BatchError;
 use super::manifest::{LEAST_SIDE_M, TileOptions};
@@ -13,40 +12,40 @@ use heliosplat_scene::AreaRequest;
 use heliosplat_scene::survey::{Survey, TileSurvey};
 use std::collections::BTreeSet;
 
-/// Bytes per pixel and band of the images that a tile reads: the values, and what reading takes besides.
+/// Bytes per pixel and band of the images that a tile reads: the values, and half as much for reading.
 const BYTES_PER_PIXEL: f64 = 4.0 * 1.5;
-/// Ground sampling distances each way of a patch on which ties are sought, at most.
+/// Largest side of a patch in which tie points are sought, ground sampling distances.
 const PATCH_CELLS: f64 = 800.0;
-/// Most patches each way.
+/// Most patches in each direction.
 const MOST_PATCHES: f64 = 5.0;
 /// Most tiles of an area.
 const MOST_TILES: usize = 100_000;
 
-/// The grid of an area's mosaic, and its tiles.
+/// Grid of an area's mosaic, and its tiles.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Tiling {
     /// Coordinate reference system.
     pub crs: String,
     /// Width of a cell, metres.
     pub gsd_m: f64,
-    /// West, south, east, north of the mosaic.
+    /// West, south, east, north of the mosaic, in units of `crs`.
     pub bounds: [f64; 4],
-    /// Rows and columns of tiles.
+    /// Number of rows and of columns of tiles.
     pub size: (usize, usize),
-    /// The tiles that images show.
+    /// Tiles that at least two training images show.
     pub tiles: Vec<Tile>,
 }
 
-/// One tile.
+/// Tile of an area.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Tile {
-    /// Its row, from the north.
+    /// Row of the tile, counted from the north.
     pub row: usize,
-    /// Its column, from the west.
+    /// Column of the tile, counted from the west.
     pub col: usize,
-    /// West, south, east, north of its core.
+    /// West, south, east, north of the core, in units of the tiling's `crs`.
     pub core: [f64; 4],
-    /// Its core and what it shares.
+    /// Core with its overlap.
     pub area: AreaRequest,
     /// Ground, images and pixels of the tile.
     pub survey: TileSurvey,
@@ -55,7 +54,7 @@ pub struct Tile {
 }
 
 impl Tile {
-    /// Its name among its area's.
+    /// Name of the tile within its area: `tile-rROWcCOLUMN`.
     pub fn name(&self) -> String {
         format!("tile-r{}c{}", self.row, self.col)
     }
@@ -67,20 +66,20 @@ pub struct Request<'a> {
     pub name: &'a str,
     /// Name of the images, for errors.
     pub images: &'a str,
-    /// The scene.
+    /// Survey of the scene.
     pub survey: &'a Survey<'a>,
-    /// The limits.
+    /// Limits of a tile.
     pub options: &'a TileOptions,
     /// Settings of the plane sweep and the training.
     pub config: &'a SatelliteConfig,
-    /// True if the tiles are trained.
+    /// True if the tiles are trained, false if they are only swept.
     pub trains: bool,
 }
 
-/// The tiles of an area.
+/// Cuts an area into tiles that respect the limits.
 ///
 /// # Errors
-/// When no two images show it, or no tiles fit.
+/// When no tile is shown by two training images, or tiles of the least size exceed a limit.
 pub fn cut(request: &Request) -> Result<Tiling, BatchError> {
     let Request { survey, options, .. } = request;
     let crs = Crs::utm(survey.frame().origin)?;
@@ -125,7 +124,7 @@ fn grown(parts: usize) -> usize {
     (parts + 1).max(parts + parts / 5)
 }
 
-/// Rows and columns of tiles as the largest side asks for them.
+/// Fewest rows and columns of tiles for the largest allowed side.
 fn at_first(request: &Request, grid: &GridSpec, gsd_m: f64) -> (usize, usize) {
     let parts = |cells: usize| {
         let side_m = request.options.side_m.unwrap_or(f64::INFINITY);
@@ -140,7 +139,7 @@ struct TooMuch {
     remedy: &'static str,
 }
 
-/// The tiles of so many rows and columns, or what the first that does not fit takes too much of.
+/// Tiling of so many rows and columns, or the limit that the first unfit tile exceeds.
 fn try_cut(
     request: &Request,
     grid: &GridSpec,
@@ -230,7 +229,7 @@ fn too_far(request: &Request, tiles: &[Tile], (rows, cols): (usize, usize)) -> R
     Ok(None)
 }
 
-/// Squares all over an area on which the pointing of its images is looked at.
+/// Rectangles of at most [`PATCH_CELLS`] sampling distances a side, spread evenly over an area, for tie points.
 pub(super) fn patches(tiling: &Tiling, gsd_m: f64) -> Vec<AreaRequest> {
     let [west, south, east, north] = tiling.bounds;
     let side = |from: f64, to: f64| (to - from).min(PATCH_CELLS * gsd_m);
@@ -248,7 +247,7 @@ pub(super) fn patches(tiling: &Tiling, gsd_m: f64) -> Vec<AreaRequest> {
         .collect()
 }
 
-/// The outer north-western corner of a grid.
+/// Outer north-western corner of a grid, map coordinates.
 fn corner(grid: &GridSpec) -> [f64; 2] {
     let six = grid.transform.to_gdal();
     [six[0], six[3]]

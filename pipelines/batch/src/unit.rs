@@ -1,4 +1,4 @@
-//! One unit of a batch: its training or mosaic, products, page and stamp.
+//! One unit of a batch: adjustment, training or mosaic, with products, page and stamp.
 
 use super::BatchError;
 use super::mosaic::mosaic;
@@ -27,19 +27,20 @@ use serde_json::{Value, json};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Name of the file that says which work a folder was last used for.
+/// Name of the file with the key of the unit that last used a folder.
 const BEGUN: &str = "begun.txt";
-/// Name of the file of the corrections that all tiles share.
+/// Name of the file with the camera corrections that all tiles share.
 const CAMERAS: &str = "cameras.json";
-/// Name of a page.
+/// Name of the report page.
 const REPORT: &str = report::FILE;
-/// Name of the page with the sun.
+/// Name of the page with the movable sun.
 const SUN: &str = view::FILE;
 
-/// Does a unit, unless it is finished; returns its stamp and whether it was finished before.
+/// Runs a unit unless it is finished. Returns its stamp, and true if it was finished before.
 ///
 /// # Errors
-/// When what it waits for is not finished, its inputs are at fault, or the user stops it.
+/// When a unit that it waits for is not finished, its inputs are invalid, a file cannot be written, or the user stops
+/// it.
 pub fn do_unit(
     units: &Units,
     unit: &Unit,
@@ -72,7 +73,7 @@ pub fn do_unit(
         Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
     if let Some(to) = &unit.deliver {
-        // Of a run its pages alone, which a mosaic's page links to.
+        // The page of a mosaic links to the pages of the runs; other files of a run are not delivered.
         let told = |name: &&String| !name.starts_with(RUN) || name.ends_with(REPORT) || name.ends_with(SUN);
         for name in outputs.iter().filter(told) {
             deliver(&folder.join(name), Path::new(&format!("{to}/{}/{name}", unit.id)))?;
@@ -98,11 +99,11 @@ pub fn do_unit(
     Ok((stamp, false))
 }
 
-/// Puts away what an earlier use of the folder for other work left unfinished.
+/// Removes the stamp of earlier work in the folder, and its checkpoint if its key differs.
 fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
     let path = folder.join(BEGUN);
     let same = read_text(&path).is_ok_and(|before| before.trim() == unit.key);
-    // A stamp that is of other work, or whose products are gone, must not be found again.
+    // An outdated stamp, or one with missing products, must not be read again.
     let _ = std::fs::remove_file(folder.join(STAMP));
     if !same {
         checkpoint::remove(&folder.join(RUN));
@@ -111,7 +112,7 @@ fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
     Ok(())
 }
 
-/// The names of products, and what was measured.
+/// Names of the products, and metrics.
 type Done = (Vec<String>, Value);
 
 fn tile(
@@ -148,7 +149,7 @@ fn tile(
         let failed = |reason: &dyn std::fmt::Display| BatchError::Failed(format!("{}: {reason}", path.display()));
         let text = read_text(&path).map_err(|error| failed(&error))?;
         let cameras: SharedCameras = serde_json::from_str(&text).map_err(|error| failed(&error))?;
-        // An empty map would have the tile look for itself.
+        // With alignment on and no shifts, the tile would correct its pointing itself.
         config.cameras.align = Align::Off;
         config.cameras.shifts_px = cameras.shifts_px;
         config.cameras.left_out = cameras.left_out;
@@ -197,13 +198,13 @@ fn tile(
         }
     }
     let of_run = ["model.ply", "model.json", "run.toml", CUT, "metrics.json", SUN, REPORT];
-    // A surface without any known height has no page.
+    // A surface without known heights has no page.
     let there = of_run.iter().filter(|name| run.join(name).is_file());
     outputs.extend(there.map(|name| format!("{RUN}/{name}")));
     Ok((outputs, metrics))
 }
 
-/// One correction of the pointing of each image.
+/// Corrects the pointing of each image, once for all tiles.
 fn adjust(work: &AdjustWork, folder: &Path, session: &Session) -> Result<Done, BatchError> {
     let options = IngestOptions {
         altitude_range_m: work.altitude_m.map(|[low, high]| (low, high)),
@@ -218,7 +219,7 @@ fn adjust(work: &AdjustWork, folder: &Path, session: &Session) -> Result<Done, B
     Ok((vec![CAMERAS.into()], metrics))
 }
 
-/// The pixels of a tile; images that have none there are left out.
+/// Scene of a tile; images without pixels in it are left out.
 fn scene_of(work: &TileWork, ingest: &IngestOptions) -> Result<Scene, SceneError> {
     let index = Index::open(&work.scene, work.rpc)?;
     let mut warnings = Vec::new();
@@ -227,7 +228,7 @@ fn scene_of(work: &TileWork, ingest: &IngestOptions) -> Result<Scene, SceneError
     Scene::read(&index, &cut, warnings)
 }
 
-/// The surface model of a tile without training.
+/// Surface model of a tile from a plane sweep, without training.
 fn swept(
     scene: &Scene,
     work: &TileWork,
@@ -278,7 +279,7 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
     });
     let mut outputs: Vec<String> = vec!["dsm.png".into()];
     if let Some(truth) = &work.truth {
-        // Truth is above the ellipsoid, whatever the products are above.
+        // Truth is above the ellipsoid even if the products refer to a geoid.
         let made = mosaic.dsm.geo_raster();
         let evaluation = evaluate_raster((&path, &made), truth, work.classes.as_deref(), Protocol::Raw)?;
         metrics["dsm"] = measure::surface_metrics(&evaluation);

@@ -39,10 +39,11 @@ impl IngestArgs {
     }
 }
 
-/// The scene that arguments name: one folder or file as it is; several image files as a `scene.toml` in `folder`, which lists them.
+/// Path of the scene in arguments: a single folder or file as it is; several image files are listed in a `scene.toml`
+/// in `folder`.
 ///
 /// # Errors
-/// When one of several is no file, or the list cannot be written.
+/// When one of several paths is a folder or missing, or the list cannot be written.
 pub fn scene_of(named: &[PathBuf], folder: &Path) -> Result<PathBuf, CliError> {
     if let [scene] = named {
         return Ok(scene.clone());
@@ -59,7 +60,7 @@ pub fn scene_of(named: &[PathBuf], folder: &Path) -> Result<PathBuf, CliError> {
             true => path.clone(),
             false => std::fs::canonicalize(path).map_err(|_| RasterError::Missing(path.clone()))?,
         };
-        // A string of JSON is one of TOML. Writing to a String cannot fail.
+        // A JSON string is a valid TOML string. Writing to a String cannot fail.
         let _ = writeln!(
             text,
             "[[images]]\npath = {}",
@@ -71,10 +72,11 @@ pub fn scene_of(named: &[PathBuf], folder: &Path) -> Result<PathBuf, CliError> {
     Ok(scene)
 }
 
-/// The coordinate system that `--crs` of a verb asks for, without its vertical part, and the geoid that it or `--geoid` asks for.
+/// Horizontal coordinate reference system of `--crs`, and geoid of `--geoid` or of the vertical part of `--crs`; `verb`
+/// is for error messages.
 ///
 /// # Errors
-/// When the system cannot be used, or the two ask for different geoids.
+/// When the system cannot be used, or the two options name different geoids.
 pub fn map_of(
     verb: &str,
     crs: Option<&str>,
@@ -95,18 +97,18 @@ pub fn map_of(
     Ok((crs, asked.or(stated)))
 }
 
-/// A scene that arguments name, for as long as it is read; the list of several images is in a temporary folder.
+/// Scene in arguments, while it is read. The list of several images lies in a temporary folder, deleted on drop.
 pub struct NamedScene {
-    /// The scene.
+    /// Path of the scene.
     pub path: PathBuf,
     _listed: Option<TemporaryFolder>,
 }
 
 impl NamedScene {
-    /// The scene that `named` forms.
+    /// Scene of one folder or file, or of several image files.
     ///
     /// # Errors
-    /// As [`scene_of`].
+    /// Errors of [`scene_of`], and an error if the temporary folder cannot be made.
     pub fn new(named: &[PathBuf]) -> Result<Self, CliError> {
         let listed = (named.len() > 1).then(|| TemporaryFolder::inside(&std::env::temp_dir()));
         let listed = listed.transpose()?;
@@ -115,7 +117,7 @@ impl NamedScene {
     }
 }
 
-/// Latitude and longitude with their letters, as in `22.890968 S 47.027328 W`.
+/// Latitude and longitude in degrees with their letters, as in `22.890968 S 47.027328 W`.
 pub fn place_in_words(place: heliosplat_rpc::GeoPoint) -> String {
     let (north, east) = (place.lat_deg >= 0.0, place.lon_deg >= 0.0);
     format!(

@@ -1,8 +1,8 @@
-//! The command line: one binary, verbs first.
+//! Command line of the program: arguments, dispatch to the verbs, output and exit codes.
 //!
-//! Every verb ends in an [`Outcome`], printed as text or as one JSON object on stdout (`--json`); logs and progress go to
-//! stderr. Exit codes: 0 done, 1 failed, 2 bad usage or bad input (one line: what, where, what to do), 130 interrupted
-//! after saving.
+//! Every verb returns an [`Outcome`], printed on stdout as text, or as one JSON object with `--json`; logs and progress
+//! go to stderr. Exit codes: 0 done; 1 failed; 2 bad usage or bad input, with one line about fault, place and remedy;
+//! 130 interrupted after saving.
 
 use crate::outcome::{CliError, Outcome};
 use crate::verbs::*;
@@ -148,7 +148,7 @@ pub enum Command {
     Man(man::ManArgs),
 }
 
-/// Parses the arguments of the process and runs the verb.
+/// Parses the arguments of the process, runs the verb, and prints its outcome; returns the exit code.
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
@@ -216,7 +216,7 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
     }
 }
 
-/// Most threads that are started: four for each core, and 256 in any case.
+/// Largest accepted number of threads: four for each core, but at least 256.
 fn threads_max() -> usize {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     (4 * cores).max(256)
@@ -235,7 +235,7 @@ fn report_json(line: &str, exit_code: u8) {
     let _ = print_line(&serde_json::json!({ "error": line, "exit_code": exit_code }).to_string());
 }
 
-/// Prints to stdout.
+/// Prints a text and a line break to stdout; nothing for an empty text.
 fn print_line(text: &str) -> Result<(), CliError> {
     if text.is_empty() {
         return Ok(());
@@ -244,7 +244,7 @@ fn print_line(text: &str) -> Result<(), CliError> {
     checked(writeln!(out, "{text}").and_then(|()| out.flush()))
 }
 
-/// Outcome of writing to stdout; a reader that went away (`| head`) is no failure.
+/// Result of writing to stdout; a closed pipe (`| head`) is no failure.
 fn checked(written: std::io::Result<()>) -> Result<(), CliError> {
     match written {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(CliError::Failed(format!(

@@ -1,6 +1,6 @@
-//! The program `heliosplat`: verbs for people and machines over the libraries of this workspace.
+//! Command-line program `heliosplat`: verbs over the libraries of this workspace, with text or JSON output.
 //!
-//! [`command_line`] parses arguments and runs one of [`verbs`]. Nothing below this crate knows of arguments or exit codes.
+//! [`command_line`] parses arguments and runs one of [`verbs`]. Other crates handle neither arguments nor exit codes.
 
 pub mod args;
 pub mod command_line;

@@ -1,8 +1,8 @@
-//! Choices of the command line by name, for enums of the libraries.
+//! Named choices of the command line, one enum for each enum of a library.
 
 use clap::ValueEnum;
 
-/// A `ValueEnum` with the values of an enum of a library, and its way there.
+/// Defines a `ValueEnum` with the variants of a library's enum, and its conversion to it.
 macro_rules! names {
     ($(#[$meta:meta])* $name:ident for $target:path { $($(#[$doc:meta])* $variant:ident,)+ }) => {
         $(#[$meta])*

@@ -18,28 +18,28 @@ use heliosplat_session::SessionError;
 /// Result of a finished verb.
 #[derive(Debug, Clone)]
 pub struct Outcome {
-    /// For machines.
+    /// Result as a JSON object, for `--json`.
     pub json: serde_json::Value,
-    /// For people.
+    /// Result as text.
     pub text: String,
 }
 
-/// Why a verb did not get done.
+/// Failure of a verb, with the message for the user.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
     /// Bad usage or bad input: exit code 2.
     #[error("{0}")]
     Input(String),
-    /// The machine failed: exit code 1.
+    /// Failure without a fault of the user, such as a full disk: exit code 1.
     #[error("{0}")]
     Failed(String),
-    /// Stopped by the user after saving what there was: exit code 130.
+    /// Stopped by the user after the state was saved: exit code 130.
     #[error("{0}")]
     Interrupted(String),
 }
 
 impl CliError {
-    /// The process's exit code.
+    /// Exit code of the process.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Input(_) => 2,
@@ -57,7 +57,7 @@ impl CliError {
     }
 }
 
-/// Errors that know whether what the user gave is at fault, rather than the machine.
+/// Conversion of errors that distinguish faults of the input from faults of the machine.
 macro_rules! by_fault {
     ($($error:ty),*) => {$(
         impl From<$error> for CliError {
@@ -79,7 +79,7 @@ by_fault!(
     ViewError
 );
 
-/// Errors of which it is known who is at fault.
+/// Conversion of errors that always have one kind of cause.
 macro_rules! always {
     ($($error:ty => $kind:ident),*) => {$(
         impl From<$error> for CliError {

@@ -1,4 +1,4 @@
-//! Rules for outputs: none replaces an input of the command, and the extension is the format.
+//! Rules for outputs: no output replaces an input of the command, and the extension states the format.
 
 use crate::outcome::CliError;
 use heliosplat_fitting::run_folder::inputs;
@@ -6,40 +6,40 @@ use heliosplat_products::dsm::{BANDS, file_of};
 use heliosplat_scene::Index;
 use std::path::{Path, PathBuf};
 
-/// Files of a run that others are made from.
+/// Files of a run from which other files are made.
 const OF_A_RUN: [&str; 4] = ["model.ply", "model.json", "run.toml", "metrics.json"];
 
-/// The files that a command reads.
+/// Files that a command reads.
 #[derive(Debug, Clone, Default)]
 pub struct Inputs {
     files: Vec<PathBuf>,
 }
 
 impl Inputs {
-    /// Some files; what is absent is no input.
+    /// Inputs from paths of files; absent files are ignored by the checks.
     pub fn of_files<P: Into<PathBuf>>(files: impl IntoIterator<Item = P>) -> Self {
         Self {
             files: files.into_iter().map(Into::into).collect(),
         }
     }
 
-    /// A run, of a scene or of an object, and the images that it was trained on.
+    /// Files of a run, of a scene or of an object, and its training images.
     pub fn of_run(folder: &Path) -> Self {
         let own = OF_A_RUN.map(|name| folder.join(name)).into_iter();
-        // A damaged or missing `run.toml` is the affair of the command.
+        // The command itself reports a damaged or missing `run.toml`.
         let images = inputs(folder).unwrap_or_default().into_iter().map(|input| input.path);
         Self::of_files(own.chain(images))
     }
 
-    /// A delivery: its images, its truth, and all that describes them.
+    /// Files of a delivery: images, truth and metadata.
     pub fn of_index(index: &Index) -> Self {
         Self::of_files(index.files.iter().cloned())
     }
 
-    /// Refuses an output that is one of the inputs, by whatever path.
+    /// Refuses an output that is one of the inputs, also by another path or a link.
     ///
     /// # Errors
-    /// [`CliError::Input`].
+    /// [`CliError::Input`] for such an output.
     pub fn keep(&self, out: &Path) -> Result<(), CliError> {
         let Some(same) =
             identity(out).and_then(|id| self.files.iter().find(|file| identity(file).as_ref() == Some(&id)))
@@ -53,18 +53,18 @@ impl Inputs {
         )))
     }
 
-    /// Refuses a surface model of whose files one is an input.
+    /// Refuses a surface model if one of its files is an input.
     ///
     /// # Errors
-    /// [`CliError::Input`].
+    /// [`CliError::Input`] for such an output.
     pub fn keep_surface(&self, out: &Path) -> Result<(), CliError> {
         (0..BANDS.len()).try_for_each(|band| self.keep(&file_of(out, band)))
     }
 
-    /// Refuses a folder to write into that holds one of the inputs.
+    /// Refuses an output folder that directly holds one of the inputs.
     ///
     /// # Errors
-    /// [`CliError::Input`].
+    /// [`CliError::Input`] for such a folder.
     pub fn keep_folder(&self, out: &Path) -> Result<(), CliError> {
         let holds = |file: &&PathBuf| file.is_file() && identity(folder_of(file)) == identity(out);
         let Some(held) = self.files.iter().find(holds).filter(|_| out.exists()) else {
@@ -98,7 +98,7 @@ fn identity(path: &Path) -> Option<PathBuf> {
     std::fs::canonicalize(path).ok()
 }
 
-/// Refuses a file name whose extension is none of `formats`, whatever its case.
+/// Refuses a file name whose extension is none of `formats`; upper and lower case are equal.
 ///
 /// # Errors
 /// [`CliError::Input`], which names `option` and the formats.

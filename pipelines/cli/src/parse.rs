@@ -5,28 +5,28 @@ use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::AreaRequest;
 use std::time::Duration;
 
-/// `A,B`: two numbers.
+/// Parses `A,B`: two finite numbers.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected form.
 pub fn pair(text: &str) -> Result<[f64; 2], String> {
     let numbers = numbers(text)?;
     <[f64; 2]>::try_from(numbers).map_err(|_| "expected two numbers, as in 10,20".to_owned())
 }
 
-/// `AZ,EL`: azimuth and elevation of a sun, degrees.
+/// Parses `AZ,EL`: azimuth and elevation of a sun, degrees.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected form or range.
 pub fn sun(text: &str) -> Result<SunPosition, String> {
     let [azimuth, elevation] = pair(text)?;
     SunPosition::stated(azimuth, elevation)
 }
 
-/// `WEST,SOUTH,EAST,NORTH`, degrees, or with `,EPSG:N` at the end coordinates of that system.
+/// Parses `WEST,SOUTH,EAST,NORTH` in degrees, or with a final `,EPSG:N` in units of that system.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected form or order.
 pub fn area(text: &str) -> Result<AreaRequest, String> {
     let (bounds, crs) = match text.split_once(",EPSG:") {
         Some((bounds, number)) => (bounds, Some(format!("EPSG:{}", number.trim()))),
@@ -39,19 +39,19 @@ pub fn area(text: &str) -> Result<AreaRequest, String> {
     Ok(area)
 }
 
-/// `A,B,C`: three numbers.
+/// Parses `A,B,C`: three finite numbers.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected form.
 pub fn triple(text: &str) -> Result<[f64; 3], String> {
     let numbers = numbers(text)?;
     <[f64; 3]>::try_from(numbers).map_err(|_| "expected three numbers, as in 1,2,3".to_owned())
 }
 
-/// Numbers separated by commas.
+/// Parses finite numbers separated by commas.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the faulty word.
 pub fn numbers(text: &str) -> Result<Vec<f64>, String> {
     let number = |word: &str| {
         let value: f64 = word.trim().parse().map_err(|_| format!("'{word}' is not a number"))?;
@@ -64,10 +64,10 @@ pub fn numbers(text: &str) -> Result<Vec<f64>, String> {
     text.split(',').map(number).collect()
 }
 
-/// A duration such as `90s`, `5m`, `1h30m`, `1.5h`; a bare number is seconds.
+/// Parses a duration such as `90s`, `5m`, `1h30m` or `1.5h`; a bare number is seconds.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected form; durations below zero are refused.
 pub fn duration(text: &str) -> Result<Duration, String> {
     let expected = |_| "expected a time such as 90s, 5m or 1h30m".to_owned();
     let negative = "expected a time that is not negative".to_owned();
@@ -78,10 +78,10 @@ pub fn duration(text: &str) -> Result<Duration, String> {
     Duration::try_from(duration).map_err(|_| negative)
 }
 
-/// `key=value`.
+/// Parses `key=value`, and removes spaces around both; the key must not be empty.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected form.
 pub fn key_value(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((key, value)) if !key.trim().is_empty() => Ok((key.trim().to_owned(), value.trim().to_owned())),
@@ -89,28 +89,28 @@ pub fn key_value(text: &str) -> Result<(String, String), String> {
     }
 }
 
-/// A moment, RFC 3339.
+/// Parses a time in RFC 3339.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected form.
 pub fn time(text: &str) -> Result<jiff::Timestamp, String> {
     text.parse()
         .map_err(|_| "expected a time such as 2016-04-23T08:34:00Z".to_owned())
 }
 
-/// A date.
+/// Parses a date such as `2026-06-21`.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected form.
 pub fn date(word: &str) -> Result<jiff::civil::Date, String> {
     let wrong = |_| format!("'{word}' is not a date such as 2026-06-21");
     word.trim().parse().map_err(wrong)
 }
 
-/// A positive number.
+/// Parses a finite number above zero.
 ///
 /// # Errors
-/// A message for the user.
+/// Message for the user with the expected range.
 pub fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value.is_finite() => Ok(value),

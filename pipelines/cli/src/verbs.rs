@@ -1,4 +1,4 @@
-//! The verbs of the program, with their arguments.
+//! Verbs of the program, with their arguments.
 
 pub mod adjust;
 pub mod batch;

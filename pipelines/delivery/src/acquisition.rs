@@ -1,4 +1,4 @@
-//! When an image was taken and where the sun stood.
+//! Acquisition time of an image, and position of the sun.
 
 use super::entry::ImageEntry;
 use super::files::{Folders, file_name};
@@ -10,12 +10,14 @@ use heliosplat_rpc::read::acquisition::{self, Acquisition};
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use std::path::Path;
 
-/// Vendors use the geocentric vertical, up to 0.4° off; more than this is a mistake somewhere, degrees.
+/// Least difference between computed and stated sun with a warning, degrees: vendors use the geocentric vertical, up to
+/// 0.4° off; a larger difference is an error in the metadata.
 const WORTH_A_WARNING_DEG: f64 = 0.5;
-/// Below this, shadows are longer than most scenes, degrees.
+/// Sun elevation below which a warning is given, degrees: shadows are then longer than most scenes.
 const LOW_SUN_DEG: f64 = 5.0;
 
-/// Collects what is known: `scene.toml` first, then a Sat-NeRF JSON, then texts beside the image, then GDAL's domains.
+/// Acquisition time and sun angles of an image; precedence: `scene.toml`, a Sat-NeRF JSON, texts beside the image,
+/// GDAL's metadata domains.
 pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> Result<Acquisition, SceneError> {
     let mut known = Acquisition::default();
     if let Some(said) = &entry.said {
@@ -37,8 +39,8 @@ pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> 
     Ok(known.merge(acquisition::gdal_domain(&items)))
 }
 
-/// The sun over the scene: computed from the time where there is one, else as the metadata say, else unknown. What [`night`] names is
-/// left out.
+/// Sun over the scene: computed from the acquisition time, else from the angles in the metadata, else unknown. Suns
+/// below the horizon or beyond the zenith ([`night`]) are discarded.
 pub(super) fn sun(image: &Path, known: &Acquisition, at: GeoPoint, warnings: &mut Vec<String>) -> ImageSun {
     let metadata = known.stated_sun().filter(is_day);
     let computed = known.time.map(|time| sun_position(time, at)).filter(is_day);
@@ -74,13 +76,13 @@ pub(super) fn sun(image: &Path, known: &Acquisition, at: GeoPoint, warnings: &mu
     found
 }
 
-/// True if a sun stands between horizon and zenith, within the rounding of degrees to radians and back.
+/// True if a sun stands between horizon and zenith, with a tolerance for rounding between degrees and radians.
 fn is_day(sun: &SunPosition) -> bool {
     let elevation_deg = sun.elevation_rad.to_degrees();
     elevation_deg > 0.0 && elevation_deg <= 90.0 + 1e-9
 }
 
-/// A time at night or an elevation that no sun has: who says so, and the elevation, degrees.
+/// Source and elevation (degrees) of a sun below the horizon or beyond the zenith; `None` where there is no such sun.
 pub(super) fn night(known: &Acquisition, at: GeoPoint) -> Option<(String, f64)> {
     let computed = known.time.map(|time| (format!("at {time}"), sun_position(time, at)));
     let stated = known.stated_sun().map(|sun| ("as its metadata say".to_owned(), sun));

@@ -1,34 +1,35 @@
-//! Altitude range of a scene: stated by the user or its files, found from tie points, or the validity range of the cameras.
+//! Altitude range of a scene: stated by the user or the files, estimated from tie points, or the validity range of the
+//! cameras.
 
 use super::SceneError;
 
-/// Source of the range of altitudes.
+/// Source of an altitude range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AltitudeSource {
-    /// Somebody stated it: the user, `scene.toml`, or the JSON files of the images.
+    /// Stated by the user, by `scene.toml`, or by the JSON files of the images.
     Given,
-    /// Tie points between the images gave it.
+    /// Estimated from tie points between the images.
     Ties,
-    /// The validity range of the RPCs.
+    /// Validity range of the RPCs.
     Cameras,
 }
 
-/// The altitudes the surface may have, metres above the ellipsoid.
+/// Altitudes that the surface may have, metres above the ellipsoid.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AltitudeRange {
-    /// Lowest.
+    /// Lowest altitude, metres.
     pub low_m: f64,
-    /// Highest.
+    /// Highest altitude, metres.
     pub high_m: f64,
-    /// Their source.
+    /// Source of the range.
     pub source: AltitudeSource,
     /// Source of the range, in words.
     pub words: String,
 }
 
 impl AltitudeRange {
-    /// Lowest and highest.
+    /// Lowest and highest altitude, metres.
     pub fn limits_m(&self) -> (f64, f64) {
         (self.low_m, self.high_m)
     }
@@ -37,16 +38,16 @@ impl AltitudeRange {
 /// Altitudes in the files of one image, metres above the ellipsoid.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Stated {
-    /// `min_alt` and `max_alt` of a Sat-NeRF JSON.
+    /// `min_alt` and `max_alt` of a Sat-NeRF JSON, metres.
     pub json_m: Option<(f64, f64)>,
-    /// The range of heights its RPC is made for.
+    /// Validity range of the RPC: height offset ± height scale, metres.
     pub rpc_m: (f64, f64),
 }
 
-/// Altitudes stated for a whole scene, metres above the ellipsoid.
+/// Altitude ranges of a whole scene by source, metres above the ellipsoid.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct StatedAltitudes {
-    /// The user's.
+    /// Range requested by the user.
     pub(super) option_m: Option<(f64, f64)>,
     /// Range in `scene.toml`.
     pub(super) manifest_m: Option<(f64, f64)>,
@@ -54,10 +55,11 @@ pub(super) struct StatedAltitudes {
     pub(super) ties_m: Option<(f64, f64)>,
 }
 
-/// Surfaces on Earth lie between the Dead Sea and Everest, metres.
+/// Lowest and highest surfaces on Earth (Dead Sea, Everest), rounded outward, metres.
 const EARTH_M: (f64, f64) = (-500.0, 9000.0);
 
-/// The range to use: the option's, that of `scene.toml`, that of the JSONs together, that of the tie points, or what all RPCs are valid for.
+/// Altitude range of a scene, from the first source that exists: the user, `scene.toml`, the union of the JSON files,
+/// the tie points, and, with a warning, the common validity range of the RPCs.
 pub(super) fn choose(
     said: StatedAltitudes,
     stated: &[Stated],
@@ -95,7 +97,7 @@ pub(super) fn choose(
     Ok(range)
 }
 
-/// The heights that all RPCs are valid for, metres; empty (lowest above highest) where they contradict each other.
+/// Common validity range of all RPCs, metres; empty (lowest above highest) where the RPCs contradict each other.
 pub(super) fn valid_for_all(stated: &[Stated]) -> (f64, f64) {
     stated.iter().fold(EARTH_M, |range, image| {
         (range.0.max(image.rpc_m.0), range.1.min(image.rpc_m.1))
@@ -103,7 +105,7 @@ pub(super) fn valid_for_all(stated: &[Stated]) -> (f64, f64) {
 }
 
 fn checked((low_m, high_m): (f64, f64), source: AltitudeSource, origin: &str) -> Result<AltitudeRange, SceneError> {
-    // Written so that values that are no numbers fail too.
+    // NaN fails this test too.
     if low_m < high_m && low_m >= EARTH_M.0 - 500.0 && high_m <= EARTH_M.1 + 500.0 {
         Ok(AltitudeRange {
             low_m,

@@ -1,4 +1,5 @@
-//! Kinds of the bands of a file: read from descriptions and colour interpretation, guessed from their number last.
+//! Kinds of the bands of a file: from descriptions, metadata, the sensor or the colour interpretation, and from the
+//! number of bands if all of these are missing.
 
 use super::files::{Folders, has_extension, stem};
 use super::sidecars::belonging_texts;
@@ -7,21 +8,21 @@ use heliosplat_raster::{BandInfo, Colour, RasterFile};
 use heliosplat_rpc::read::calibration::CalibratedBand;
 use serde::Serialize;
 
-/// Bands of a file that become bands of the scene.
+/// Bands of a file that are read.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BandPlan {
-    /// 0-based bands of the file, in the order red, green, blue, near infrared where those are known.
+    /// Indices of the bands in the file, from 0; in the order red, green, blue, near infrared where these are known.
     pub file_bands: Vec<usize>,
-    /// Their kinds.
+    /// Kind of each of these bands.
     pub kinds: Vec<BandKind>,
-    /// A band of opacity.
+    /// Index of the opacity band in the file, if there is one.
     pub alpha: Option<usize>,
-    /// Assumptions, in words.
+    /// Assumption about the bands, for a warning; `None` where the file or its metadata name them.
     #[serde(skip)]
     pub(super) assumption: Option<String>,
 }
 
-/// Finds out what a file's bands are; `declared` (one per file band) wins over what the file says.
+/// Kinds of the bands of a file. `declared`, one kind per file band, takes precedence over the file and its metadata.
 pub(super) fn plan(
     file: &RasterFile,
     declared: Option<&[BandKind]>,
@@ -50,7 +51,7 @@ pub(super) fn plan(
     Ok(from_infos(&file.bands, order.as_deref()))
 }
 
-/// Sensors whose files name no bands, though their vendors document the order.
+/// Sensors whose files do not name their bands, but whose vendors document the order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Sensor {
     /// WorldView, GeoEye, QuickBird: blue, green, red, near infrared; eight bands of WorldView-2 and -3.
@@ -62,7 +63,7 @@ enum Sensor {
 }
 
 impl Sensor {
-    /// The bands of its files with so many bands.
+    /// Band kinds of the sensor's files with this number of bands; `None` where the order is unknown.
     fn order(self, bands: usize) -> Option<Vec<BandKind>> {
         use BandKind::{Blue, Green, NearInfrared, Other, Red};
         match (self, bands) {
@@ -76,7 +77,7 @@ impl Sensor {
     }
 }
 
-/// The sensor of a file: from what GDAL read beside it, else from the name its vendor gave it.
+/// The sensor of a file: from metadata read by GDAL, else from the file's name.
 fn sensor_of(file: &RasterFile) -> Option<Sensor> {
     let maxar_reader = file.domain("").get("METADATATYPE").is_some_and(|kind| kind == "DG");
     let satellite = file.domain("IMAGERY").get("SATELLITEID").cloned().unwrap_or_default();
@@ -87,8 +88,8 @@ fn sensor_of(file: &RasterFile) -> Option<Sensor> {
     sensor_by_name(&stem(file.path()))
 }
 
-/// `20200814_162132_ssc4_u0001_analytic`, `20160831_180302_0e26_3B_AnalyticMS_8b`, `GF2_PMS1_…-MSS1`, `SV1-01_…-MUX`,
-/// `16SEP18160424-M1BS-…`.
+/// The sensor of a file name such as `20200814_162132_ssc4_u0001_analytic`, `20160831_180302_0e26_3B_AnalyticMS_8b`,
+/// `GF2_PMS1_…-MSS1`, `SV1-01_…-MUX` or `16SEP18160424-M1BS-…`.
 fn sensor_by_name(name: &str) -> Option<Sensor> {
     let name = name.to_uppercase();
     let parts: Vec<&str> = name.split(['_', '-']).collect();
@@ -105,7 +106,7 @@ fn sensor_by_name(name: &str) -> Option<Sensor> {
             .strip_prefix(start)
             .is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()))
     };
-    // M1BS, M2AS, M3DS.
+    // Product parts such as M1BS, M2AS and M3DS.
     let is_maxar = |part: &&str| {
         let bytes = part.as_bytes();
         bytes.len() == 4 && bytes[0] == b'M' && bytes[1].is_ascii_digit() && bytes[3] == b'S'
@@ -121,7 +122,7 @@ fn sensor_by_name(name: &str) -> Option<Sensor> {
     }
 }
 
-/// The bands of a file as the DIMAP beside it lists them (`Raster_Index_List`): of Pleiades and SPOT, and of Pleiades Neo.
+/// Band kinds of a file from the DIMAP beside it (`Raster_Index_List`): Pleiades, SPOT and Pleiades Neo.
 fn dimap_order(file: &RasterFile, folders: &Folders) -> Result<Option<Vec<BandKind>>, SceneError> {
     for path in belonging_texts(file.path(), folders)? {
         if has_extension(&path, &["xml"])
@@ -156,8 +157,8 @@ fn order_in_dimap(text: &str) -> Option<Vec<BandKind>> {
     (in_order && known).then(|| places.into_iter().map(|(_, kind)| kind).collect())
 }
 
-/// `order` is what metadata beside the file, or its sensor, say of its bands. A guess never names near infrared: indices of guessed bands
-/// would be numbers without meaning.
+/// Bands to read; `order` is the kinds from metadata beside the file or from its sensor. A guess never contains near
+/// infrared: an index of guessed bands would be meaningless.
 fn from_infos(bands: &[BandInfo], order: Option<&[BandKind]>) -> BandPlan {
     use BandKind::{Blue, Green, NearInfrared, Other, Pan, Red};
     let alpha = bands.iter().position(|band| band.colour == Colour::Alpha);
@@ -175,7 +176,7 @@ fn from_infos(bands: &[BandInfo], order: Option<&[BandKind]>) -> BandPlan {
     }
     let coloured: Vec<BandKind> = data.iter().map(|&index| from_colour(bands[index].colour)).collect();
     let has_rgb = [Red, Green, Blue].iter().all(|kind| coloured.contains(kind));
-    // Red, green, blue and one band of unknown colour: near infrared, as every satellite has it.
+    // Red, green, blue and one band of unknown colour: the fourth band of all satellites is near infrared.
     if has_rgb && data.len() <= 4 {
         let kinds: Vec<BandKind> = coloured
             .iter()
@@ -204,8 +205,8 @@ fn from_infos(bands: &[BandInfo], order: Option<&[BandKind]>) -> BandPlan {
     }
 }
 
-/// Puts known colours into the order red, green, blue, near infrared and leaves the rest out; without red, green and blue
-/// all bands stay as they are.
+/// Orders bands as red, green, blue, near infrared and drops the others; without red, green and blue all bands are kept
+/// in file order.
 fn ordered(kinds: &[BandKind], files: &[usize], alpha: Option<usize>, assumption: Option<String>) -> BandPlan {
     use BandKind::{Blue, Green, NearInfrared, Red};
     let find = |wanted: BandKind| kinds.iter().position(|&kind| kind == wanted);
@@ -239,7 +240,7 @@ fn from_description(description: &str) -> BandKind {
         }
         _ => {}
     }
-    // The second near-infrared band of WorldView is not the one whose colours are known from other satellites.
+    // The second near-infrared band of WorldView covers other wavelengths than the near infrared of other satellites.
     if has("nir2") || has("rededge") || has("coastal") || has("yellow") || has("deepblue") || has("swir") {
         BandKind::Other
     } else if has("nir") || has("infrared") {
@@ -266,7 +267,7 @@ fn from_colour(colour: Colour) -> BandKind {
     }
 }
 
-/// The bands in words, such as `3 bands (red, green, blue)`.
+/// Bands in words, such as `3 bands (red, green, blue)`.
 pub fn in_words(kinds: &[BandKind]) -> String {
     let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
     let plural = if kinds.len() == 1 { "" } else { "s" };

@@ -1,4 +1,4 @@
-//! Calibration of pixel values in the metadata: gains, or a display curve.
+//! Calibration of pixel values in the metadata: gains or a display curve.
 
 use super::SceneError;
 use super::entry::ImageEntry;
@@ -7,17 +7,18 @@ use super::sidecars::describing_texts;
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::read::calibration::{self, Calibration, Radiometry};
 
-/// Calibration and its source.
+/// Calibration of an image, with its source.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct FoundRadiometry {
-    /// Gains, or a display curve.
+    /// Gains of the bands, or a display curve.
     #[serde(skip)]
     pub radiometry: Radiometry,
-    /// A file name, or `image` for the image file itself and what GDAL found beside it.
+    /// Name of the file with the calibration, or `image` for the image file itself and the metadata that GDAL found
+    /// beside it.
     pub source: String,
 }
 
-/// The first that says something: texts that describe the image, then the image file itself.
+/// Calibration of an image from the first source that contains one: texts that describe the image, then the image file.
 pub(super) fn find(
     file: &RasterFile,
     entry: &ImageEntry,
@@ -35,7 +36,7 @@ pub(super) fn find(
     }))
 }
 
-/// Calibration in the image file: in its description, in GDAL's `IMD` domain, or by a scale and a unit of every band.
+/// Calibration in the image file: in its description, in GDAL's `IMD` domain, or as scale and unit of every band.
 fn in_image(file: &RasterFile) -> Option<Radiometry> {
     let described = || calibration::from_text(file.domain("").get("TIFFTAG_IMAGEDESCRIPTION")?);
     let scales = || {

@@ -1,4 +1,4 @@
-//! The rational camera of an image: choice among its sources, and conversion for a crop.
+//! The rational camera of an image: selection among its sources, and conversion for a crop.
 
 use super::dimap::folder_of;
 use super::entry::ImageEntry;
@@ -10,21 +10,23 @@ use heliosplat_rpc::{ImagePoint, Rpc, read};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Largest distance of a crop's origin from whole pixels, pixels: offsets are written with two decimals.
+/// Largest distance of a crop's origin from whole pixels, pixels: RPC offsets are written with two decimals.
 const WHOLE_PX: f64 = 0.02;
 
-/// A camera and where it comes from.
+/// A camera and its source.
 #[derive(Debug, Clone)]
 pub(super) struct FoundCamera {
+    /// The camera.
     pub(super) rpc: Rpc,
+    /// Its source: `image` or a file name.
     pub(super) source: String,
     kind: Kind,
 }
 
-/// The places where a camera is found.
+/// Place where a camera is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    /// A JSON as Sat-NeRF has it.
+    /// A Sat-NeRF JSON.
     Json,
     /// A vendor's file beside the image, or GDAL's `.aux.xml`.
     Sidecar,
@@ -35,17 +37,17 @@ enum Kind {
 /// The cameras of an image.
 #[derive(Debug, Clone)]
 pub(super) struct Cameras {
-    /// The one that is used.
+    /// The camera in use.
     pub(super) used: FoundCamera,
-    /// All others.
+    /// All other cameras.
     pub(super) others: Vec<FoundCamera>,
-    /// Camera files that cannot be read, and why.
+    /// Unreadable camera files, with the reason.
     pub(super) unread: Vec<(PathBuf, String)>,
 }
 
-/// Finds the cameras of an image. One named in `scene.toml` is the only one. Of the others `preference` chooses; by default a JSON comes
-/// first, then a sidecar, then the tag, but the tag of a crop comes before the sidecar of the whole image. Sidecars are read by our own
-/// readers; GDAL's reading counts only where they know none.
+/// Finds the cameras of an image. A camera named in `scene.toml` is the only one. Among the others `preference`
+/// decides; by default the order is JSON, sidecar, tag, but the tag of a crop precedes the sidecar of the whole image.
+/// Sidecars are read by our own readers, and by GDAL where these find none.
 pub(super) fn find(
     file: &RasterFile,
     entry: &ImageEntry,
@@ -106,8 +108,8 @@ pub(super) fn find(
     })
 }
 
-/// Geotransform and system of a map-projected file. Frames that were fitted to the corners of a raw image, as those of NITF headers, are turned against the
-/// axes of the map and may be off by hundreds of pixels.
+/// Geotransform and coordinate system of a map-projected file. `None` for a rotated geotransform: frames fitted to the
+/// corners of a raw image, such as those of NITF headers, are rotated and may be off by hundreds of pixels.
 pub(super) fn map_frame(file: &RasterFile) -> Option<(GeoTransform, Crs)> {
     let transform = file.geo_transform()?;
     let [_, _, turned, _, too, _] = transform.to_gdal();
@@ -117,7 +119,7 @@ pub(super) fn map_frame(file: &RasterFile) -> Option<(GeoTransform, Crs)> {
 /// The camera in a text file of any known format.
 ///
 /// # Errors
-/// [`SceneError::BadRpc`] when it holds none.
+/// [`SceneError::BadRpc`] when the file contains no camera.
 pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCamera, SceneError> {
     let text = folders.text(path)?;
     let rpc = read::rpc_from_text(&file_name(path), &text).map_err(|error| SceneError::BadRpc {
@@ -131,10 +133,10 @@ pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCame
     })
 }
 
-/// Cameras, and camera files that cannot be read, with the reasons.
+/// Cameras, and unreadable camera files with the reason.
 type Readable = (Vec<FoundCamera>, Vec<(PathBuf, String)>);
 
-/// The cameras of the files beside an image and of its own tag, in the pixel coordinates of this file.
+/// Cameras from the files beside an image and from its tag, in pixels of the image file.
 fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result<Readable, SceneError> {
     let (mut found, mut unread) = (Vec::new(), Vec::new());
     let mut take = |rpc: Result<Rpc, read::ReadError>, path: &Path, source: String, kind: Kind| match rpc {
@@ -172,7 +174,7 @@ fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result
     Ok((found, unread))
 }
 
-/// True if the name (in lower case) is that of a file with a camera alone.
+/// True if `name` (in lower case) is that of a file with nothing but a camera.
 fn is_camera_file(name: &str) -> bool {
     let is_xml = name.starts_with("rpc_") && name.ends_with(".xml");
     is_xml
@@ -181,7 +183,7 @@ fn is_camera_file(name: &str) -> bool {
             .any(|end| name.ends_with(end))
 }
 
-/// GDAL's own file beside an image, where it has an RPC.
+/// GDAL's `.aux.xml` beside an image, if it contains an RPC.
 fn beside_with_rpc(image: &Path, folders: &Folders) -> Result<Option<PathBuf>, SceneError> {
     let name = format!("{}.aux.xml", file_name(image)).to_lowercase();
     let Some(path) = folders.by_name(folder_of(image))?.get(&name).cloned() else {
@@ -191,7 +193,7 @@ fn beside_with_rpc(image: &Path, folders: &Folders) -> Result<Option<PathBuf>, S
     Ok(has_rpc.then_some(path))
 }
 
-/// A camera of a full image as one of the crop that the file is.
+/// Converts the camera of a full image into that of the crop in the file; other cameras are unchanged.
 fn in_own_pixels(file: &RasterFile, mut camera: FoundCamera) -> FoundCamera {
     if let Some((crop, origin)) = crop_in_full_image(file, &camera.rpc) {
         camera.rpc = crop.camera(&camera.rpc);
@@ -201,14 +203,14 @@ fn in_own_pixels(file: &RasterFile, mut camera: FoundCamera) -> FoundCamera {
     camera
 }
 
-/// The camera that the image file itself has, else that of its first sidecar, in the pixel coordinates of this file.
+/// The vendor's camera of an image: its first sidecar, else its tag; in pixels of the image file.
 pub(super) fn of_vendor(file: &RasterFile, folders: &Folders) -> Result<Option<Rpc>, SceneError> {
     let (all, _) = of_files(file, None, folders)?;
     Ok(all.into_iter().next().map(|camera| camera.rpc))
 }
 
-/// True if an image with these two cameras is a crop whose tag was moved with it while the sidecar of the whole image was copied along:
-/// the tag is the sidecar moved by whole pixels, right and down, to a place where the image ends inside of what the sidecar is made for.
+/// True if the image is a crop whose tag was moved along while the sidecar of the whole image was copied unchanged: the
+/// tag is the sidecar shifted right and down by whole pixels, and the image ends inside the sidecar's domain.
 fn is_of_crop(tag: &Rpc, sidecar: &Rpc, (width, height): (usize, usize)) -> bool {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     let moved = |(col, row): (f64, f64)| {
@@ -230,20 +232,19 @@ fn is_of_crop(tag: &Rpc, sidecar: &Rpc, (width, height): (usize, usize)) -> bool
     corners.iter().all(is_whole) && is_inside
 }
 
-/// Place of a file's pixels in the image of its RPC.
+/// Position of a file's pixels in the full image of its RPC.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct CropInFull {
-    /// Column and row of the full image that the outer corner of the first pixel falls on, counted from the full image's
-    /// outer corner.
+    /// Column and row of the outer corner of the first pixel, counted from the outer corner of the full image.
     first: [f64; 2],
-    /// Pixels of the full image per pixel of the file, columns and rows.
+    /// Pixels of the full image per pixel of the file, along columns and rows.
     factor: [f64; 2],
 }
 
 impl CropInFull {
-    /// The camera in the file's own pixels.
+    /// The camera in pixels of the file.
     fn camera(&self, full: &Rpc) -> Rpc {
-        // Corners count from 0 at the outer edge, our pixel centres from 0 half a pixel inside.
+        // Corners are counted from the outer edge; our pixel centres start half a pixel inside.
         let moved = |offset: f64, axis: usize| (offset + 0.5 - self.first[axis]) / self.factor[axis] - 0.5;
         Rpc {
             sample_offset: moved(full.sample_offset, 0),
@@ -255,13 +256,14 @@ impl CropInFull {
     }
 }
 
-/// The crop a file is of the image its RPC is for, where the file keeps the two apart, and what says so.
+/// Crop of the full image that a file contains, and the record that states it; `None` where file and RPC have the same
+/// pixels.
 fn crop_in_full_image(file: &RasterFile, rpc: &Rpc) -> Option<(CropInFull, &'static str)> {
     if let Some(crop) = nitf_chip(&file.domain("")) {
         return Some((crop, "NITF ICHIPB record"));
     }
-    // Some writers of crops (shareloc, picanteo) store the origin as a geotransform in pixels, without a coordinate
-    // system. A transform in map units has one, or its pixels are not one unit wide.
+    // Some writers of crops (shareloc, picanteo) store the crop's origin as a geotransform in pixels, without a
+    // coordinate system. A transform in map units has one, or its pixels are not one unit wide.
     if file.crs().is_some() {
         return None;
     }
@@ -269,7 +271,7 @@ fn crop_in_full_image(file: &RasterFile, rpc: &Rpc) -> Option<(CropInFull, &'sta
     let (width, height) = file.size();
     let centre = |origin: f64, size: usize| origin + size as f64 / 2.0;
     let outside = |value: f64, offset: f64, scale: f64| ((value - offset) / scale).abs() > 1.2;
-    // A crop whose RPC was shifted already and whose transform was kept: the shift would leave the camera's domain.
+    // The RPC was shifted already and the transform kept: another shift would leave the camera's domain.
     let shifted_twice = outside(centre(first[1], height), rpc.line_offset, rpc.line_scale)
         || outside(centre(first[0], width), rpc.sample_offset, rpc.sample_scale);
     let crop = CropInFull {
@@ -279,7 +281,7 @@ fn crop_in_full_image(file: &RasterFile, rpc: &Rpc) -> Option<(CropInFull, &'sta
     (!shifted_twice).then_some((crop, "geotransform"))
 }
 
-/// Origin of a geotransform that counts in whole image pixels; `None` for any other and for the identity.
+/// Origin of a geotransform with pixel steps of one; `None` for any other transform and for the identity.
 fn pixel_origin(transform: &GeoTransform) -> Option<[f64; 2]> {
     let six = transform.to_gdal();
     let unit_steps = six[1] == 1.0 && six[2] == 0.0 && six[4] == 0.0 && six[5].abs() == 1.0;
@@ -287,7 +289,7 @@ fn pixel_origin(transform: &GeoTransform) -> Option<[f64; 2]> {
     (unit_steps && first != [0.0; 2]).then_some(first)
 }
 
-/// The chip a NITF file is (STDI-0002, ICHIPB): OP are corners of the chip, FI the same corners in the full image, both
+/// Crop of a NITF chip (STDI-0002, ICHIPB): OP are corners of the chip, FI the same corners in the full image, both
 /// with 0.5 at the centre of the first pixel.
 fn nitf_chip(items: &BTreeMap<String, String>) -> Option<CropInFull> {
     let value = |name: &str| items.get(&format!("ICHIP_{name}"))?.trim().parse::<f64>().ok();
@@ -306,10 +308,11 @@ fn nitf_chip(items: &BTreeMap<String, String>) -> Option<CropInFull> {
     (!is_whole).then_some(crop)
 }
 
-/// Half of the heights that surfaces on Earth have, metres: more says nothing of two cameras.
+/// Largest half range of heights over which two cameras are compared, metres: half of the range of heights on Earth.
 const HEIGHTS_M: f64 = 4500.0;
 
-/// Largest distance between two cameras over an image, pixels; `None` where the first cannot be localised.
+/// Largest distance between two cameras at the corners of an image and two heights, pixels; `None` where the first
+/// camera cannot be localised or a distance is not finite. Size is columns and rows.
 pub(super) fn apart_px(a: &Rpc, b: &Rpc, (width, height): (usize, usize)) -> Option<f64> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     let mut largest: f64 = 0.0;
@@ -368,7 +371,7 @@ mod tests {
 
     #[test]
     fn a_reduced_chip_keeps_the_place_of_its_pixels() {
-        // Two pixels of the full image per pixel: chip position 0.5 is full position 2500.5, 1.5 is 2502.5.
+        // Two pixels of the full image per chip pixel: chip position 0.5 is full position 2500.5, and 1.5 is 2502.5.
         let crop = nitf_chip(&chip(1998.0)).expect("a chip");
         assert_eq!(crop.factor, [2.0, 2.0]);
         let chip_row = |full_corner: f64| (full_corner - crop.first[1]) / crop.factor[1];

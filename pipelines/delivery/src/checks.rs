@@ -1,5 +1,5 @@
-//! The table of checks on a delivery: a row compares two things that an image, its sidecars and its siblings state, and says by how much
-//! they may differ and what to do where they differ more.
+//! Table of consistency checks on a delivery. Each row compares two statements of an image, its sidecars or the other
+//! images, and has a bound for their difference and a remedy.
 
 use super::camera::{self, Cameras, FoundCamera};
 use super::draft::Draft;
@@ -9,7 +9,7 @@ use heliosplat_rpc::{GeoPoint, ImagePoint};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Consequence of a finding for the delivery.
+/// Consequence of a finding for the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
@@ -19,30 +19,31 @@ pub enum Severity {
     Error,
 }
 
-/// A row of the table that holds for some images.
+/// A check that failed, with the images that it failed for.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// The row, such as `map-projected`.
+    /// Code of the check, such as `map-projected`.
     pub code: &'static str,
-    /// Warning or error.
+    /// Severity: warning or error.
     pub severity: Severity,
-    /// Names of the images.
+    /// Names of the images concerned.
     pub images: Vec<String>,
-    /// Their files.
+    /// Files of these images.
     pub files: Vec<PathBuf>,
-    /// The largest value found, in the unit of the message.
+    /// Largest value found, in the unit of the message; `None` for a check without a number, or where the value is
+    /// infinite.
     pub value: Option<f64>,
-    /// The value from which on the row holds.
+    /// Bound above which the check fails, in the unit of the message; `None` for a check without a number.
     pub bound: Option<f64>,
     /// One line: file, difference, remedy.
     pub message: String,
 }
 
-/// The result of a check for one image.
+/// Failure of a check for one image.
 pub(super) struct Found {
     value: Option<f64>,
     bound: Option<f64>,
-    /// The rest of a sentence that begins with the file.
+    /// Predicate of the message; its subject is the path of the image.
     what: String,
 }
 
@@ -56,7 +57,7 @@ impl Found {
     }
 
     fn above(value: f64, bound: f64, what: String) -> Option<Self> {
-        // What is no number fits nothing.
+        // NaN fails the check.
         let holds = value > bound || value.is_nan();
         holds.then_some(Self {
             value: value.is_finite().then_some(value),
@@ -66,7 +67,7 @@ impl Found {
     }
 }
 
-/// A row.
+/// A check: code, severity, function, and remedy.
 struct Check {
     code: &'static str,
     severity: Severity,
@@ -113,14 +114,14 @@ const CHECKS: [Check; 6] = [
     },
 ];
 
-/// All rows that hold, in the order of the table; equal findings of several images are one.
+/// All failed checks, in the order of the table; equal findings of several images are merged into one.
 pub(super) fn all(drafts: &[Draft], preference: RpcPreference) -> Vec<Finding> {
     let of_row = |check: &Check| {
         let found = drafts
             .iter()
             .filter_map(|draft| Some((draft, (check.find)(draft, preference)?)));
         let mut found: Vec<(&Draft, Found)> = found.collect();
-        // The worst comes first; a stable sort keeps the order of the images.
+        // The image with the largest value comes first; the sort is stable and keeps the order of the images.
         found.sort_by(|(_, a), (_, b)| b.value.unwrap_or(0.0).total_cmp(&a.value.unwrap_or(0.0)));
         let (first, worst) = found.first()?;
         let path = first.entry.path.display();
@@ -141,16 +142,17 @@ pub(super) fn all(drafts: &[Draft], preference: RpcPreference) -> Vec<Finding> {
     CHECKS.iter().filter_map(of_row).collect()
 }
 
-/// An RPC that was fitted to a projected image describes its pixels at the height it was projected to, but for this share of the diagonal; a
-/// raw image is turned and stretched against the map by more.
+/// Largest distance between geotransform and RPC of a projected image, as a share of the image's diagonal. An RPC
+/// fitted to a projected image describes its pixels within this distance at the height of the projection; a raw image
+/// is rotated and stretched against the map by more.
 const ROUGH_FRAME: f64 = 0.01;
-/// A frame whose corner was rounded to whole pixels is off by this much, pixels.
+/// Least bound of that distance, pixels: a frame whose corner was rounded to whole pixels is off by this much.
 const ROUGH_FRAME_PX: f64 = 2.0;
-/// Places along each side of an image that are compared.
+/// Number of sample places along each side of an image.
 const PLACES: usize = 5;
 
-/// The geotransform against the RPC, at the altitude where they agree best: images that were projected to one height keep an RPC that
-/// describes their pixels there.
+/// Compares the geotransform with the RPC at the altitude of their best agreement: the RPC of an image that was
+/// projected to one height describes its pixels at that height.
 fn map_projected(draft: &Draft, _: RpcPreference) -> Option<Found> {
     let (transform, crs) = camera::map_frame(&draft.file)?;
     let to_lon_lat = CrsTransform::to_lon_lat(&crs).ok()?;
@@ -187,7 +189,7 @@ fn map_projected(draft: &Draft, _: RpcPreference) -> Option<Found> {
     Found::above(least, bound, what)
 }
 
-/// The least value of a function that has one minimum between two ends.
+/// Minimum of a function that has one minimum between `low` and `high`, by ternary search.
 fn least_of(of: &dyn Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     for _ in 0..60 {
         let third = (high - low) / 3.0;
@@ -200,23 +202,24 @@ fn least_of(of: &dyn Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     of((low + high) / 2.0)
 }
 
-/// Two cameras of one image that differ by more than this are worth a warning, pixels: less is below what matching resolves.
+/// Largest distance between two cameras of one image without a warning, pixels: matching does not resolve less.
 const WORTH_A_WARNING_PX: f64 = 0.5;
 
-/// The camera that differs most from the one that is used, with the distance in pixels over the image.
+/// The unused camera farthest from the one in use, with the largest distance between them over the image, pixels;
+/// infinite where it cannot be measured.
 fn farthest(cameras: &Cameras, size: (usize, usize)) -> Option<(f64, &FoundCamera)> {
     let apart = |other: &FoundCamera| camera::apart_px(&cameras.used.rpc, &other.rpc, size).unwrap_or(f64::INFINITY);
     let all = cameras.others.iter().map(|other| (apart(other), other));
     all.max_by(|(a, _), (b, _)| a.total_cmp(b))
 }
 
-/// The line on the cameras of a file by itself, where they differ.
+/// Warning about differing cameras of a single file; `None` where they agree. `size` is columns and rows.
 pub(super) fn of_cameras(cameras: &Cameras, path: &Path, size: (usize, usize)) -> Option<String> {
     let what = differing(cameras, size)?.what;
     Some(format!("{}: {what}; --rpc json|sidecar|tag chooses", path.display()))
 }
 
-/// Cameras that see other ground than each other; without a choice by the user there is no right one.
+/// Fails for two cameras of disjoint ground: without a choice by the user, neither is known to be right.
 fn other_ground(draft: &Draft, preference: RpcPreference) -> Option<Found> {
     let (apart_px, other) = farthest(&draft.cameras, draft.camera_size)?;
     let (width, height) = draft.camera_size;
@@ -253,11 +256,11 @@ fn unread(draft: &Draft, _: RpcPreference) -> Option<Found> {
     )))
 }
 
-/// Largest relative difference between an RPC's scale and half the size of its image.
+/// Largest relative difference between an RPC's scale and half the size of its image, for the two to count as equal.
 const LIKE: f64 = 0.02;
 
-/// The size of the image against the rows and columns that its RPC is made for. A crop lies anywhere in these; an image that was reduced
-/// begins where they begin, and has the same fraction of both.
+/// Compares the size of the image with the range of rows and columns of its RPC. A crop may lie anywhere in that range;
+/// a reduced image starts at its beginning and covers the same fraction of rows and columns.
 fn another_size(draft: &Draft, _: RpcPreference) -> Option<Found> {
     let rpc = &draft.rpc;
     let (width, height) = draft.camera_size;
@@ -279,7 +282,7 @@ fn another_size(draft: &Draft, _: RpcPreference) -> Option<Found> {
     })
 }
 
-/// The time of acquisition, and the angles that metadata state, against day and night.
+/// Compares the acquisition time, and the sun angles in the metadata, with day and night.
 fn sun_below_horizon(draft: &Draft, _: RpcPreference) -> Option<Found> {
     let (origin, elevation_deg) = acquisition::night(&draft.acquisition, draft.middle()?)?;
     Some(Found {
@@ -292,7 +295,8 @@ fn sun_below_horizon(draft: &Draft, _: RpcPreference) -> Option<Found> {
 }
 
 impl FoundCamera {
-    /// True if the image of another camera shows ground of this one's domain, with a margin as wide as the domain.
+    /// True if the ground point at the image centre of `other` projects near the domain of this camera: within twice
+    /// its half width, or twice the image size, of its centre.
     fn sees_ground_of(&self, other: &Self, (width, height): (usize, usize)) -> bool {
         let (col, row) = (width as f64 / 2.0, height as f64 / 2.0);
         let Ok(ground) = other.rpc.localise(ImagePoint { col, row }, other.rpc.height_offset_m) else {

@@ -1,4 +1,4 @@
-//! DIMAP files (`DIM_*.XML`) beside images: tiles of one image, whatever their names.
+//! DIMAP files (`DIM_*.XML`) beside images: the tiles of one image, whatever their names.
 
 use super::SceneError;
 use super::files::{Folders, file_name, has_extension};
@@ -6,14 +6,14 @@ use heliosplat_rpc::read::{DataFile, DataFiles, data_files};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-/// Beginnings of their names, in lower case.
+/// Beginning of the names of DIMAP files, in lower case.
 pub(super) const PREFIX: &str = "dim_";
 
-/// The tiles of one image.
+/// The tiles of one image in a DIMAP.
 pub(super) struct ListedTiles {
-    /// By row and column.
+    /// Paths of the tiles by row and column.
     pub(super) tiles: BTreeMap<[u32; 2], PathBuf>,
-    /// Columns and rows from one tile to the next, where the DIMAP says so.
+    /// Columns and rows from one tile to the next, where the DIMAP states them.
     pub(super) step_px: Option<[usize; 2]>,
 }
 
@@ -21,12 +21,12 @@ pub(super) struct ListedTiles {
 #[derive(Debug, Default)]
 pub(super) struct Dimaps {
     all: Vec<(PathBuf, DataFiles)>,
-    /// The first of them that lists a file of this name in the folder itself.
+    /// The first DIMAP of the folder that lists a file of this name.
     of_file: BTreeMap<String, PathBuf>,
 }
 
 impl Dimaps {
-    /// Reads those of a folder.
+    /// Reads the DIMAPs of a folder.
     pub(super) fn read(folder: &Path, folders: &Folders) -> Result<Self, SceneError> {
         let is_dimap =
             |path: &PathBuf| has_extension(path, &["xml"]) && file_name(path).to_lowercase().starts_with(PREFIX);
@@ -46,7 +46,7 @@ impl Dimaps {
     }
 }
 
-/// Path of a listed file: at or below the folder of its DIMAP, never elsewhere.
+/// Path of a listed file; `None` for a path outside of the DIMAP's folder.
 fn place(folder: &Path, file: &DataFile) -> Option<PathBuf> {
     let relative = Path::new(&file.href);
     let below = relative
@@ -59,7 +59,7 @@ fn place(folder: &Path, file: &DataFile) -> Option<PathBuf> {
     below.then(|| folder.join(names))
 }
 
-/// The folder of an image.
+/// The folder of an image; `.` for a bare file name.
 pub(super) fn folder_of(image: &Path) -> &Path {
     image
         .parent()
@@ -67,10 +67,10 @@ pub(super) fn folder_of(image: &Path) -> &Path {
         .unwrap_or_else(|| Path::new("."))
 }
 
-/// Images of which a DIMAP lists several tiles, some of which are among `files`.
+/// Images with several tiles in a DIMAP, at least one of which is in `files`.
 ///
 /// # Errors
-/// [`SceneError::MissingTile`] when not all are there.
+/// [`SceneError::MissingTile`] when a tile of such an image does not exist.
 pub(super) fn tiled(files: &[PathBuf], folders: &Folders) -> Result<Vec<ListedTiles>, SceneError> {
     let parents: BTreeSet<&Path> = files.iter().map(|path| folder_of(path)).collect();
     let files: BTreeSet<&PathBuf> = files.iter().collect();
@@ -99,7 +99,7 @@ pub(super) fn tiled(files: &[PathBuf], folders: &Folders) -> Result<Vec<ListedTi
     Ok(found)
 }
 
-/// The DIMAP that lists an image, if one in its folder does.
+/// The DIMAP in an image's folder that lists the image; `None` where there is none.
 pub(super) fn of_image(image: &Path, folders: &Folders) -> Result<Option<PathBuf>, SceneError> {
     let dimaps = folders.dimaps(folder_of(image))?;
     Ok(dimaps.of_file.get(&file_name(image)).cloned())

@@ -1,4 +1,4 @@
-//! The images of a scene as drafts: opened, and joined where two files are one image.
+//! Drafts of a scene's images: files opened, and files of one image joined.
 
 use super::draft::Draft;
 use super::files::Folders;
@@ -6,7 +6,7 @@ use super::layout::Layout;
 use super::{RpcPreference, SceneError, acquisition, bands, calibration, camera, files, pairs};
 use std::path::Path;
 
-/// Opens every image and reads what its files say about it.
+/// Opens every image and reads its metadata.
 pub(super) fn read_all(
     layout: &Layout,
     preference: RpcPreference,
@@ -23,7 +23,7 @@ pub(super) fn read_all(
         }
         let found = camera::find(&file, entry, preference, folders, warnings)?;
         let plan = match &entry.multispectral {
-            // Its bands will be those of its other half.
+            // The joined image has the bands of its multispectral half, so the bands in `scene.toml` do not apply here.
             Some(_) => bands::plan(&file, None, folders)?,
             None => bands::plan(&file, declared, folders)?,
         };
@@ -62,7 +62,7 @@ pub(super) fn read_all(
             stacked.len()
         ));
     }
-    // The same assumption about every image is one warning.
+    // The assumption is equal for all images, so it is one warning.
     if let Some(assumption) = drafts.iter().find_map(|draft| draft.plan.assumption.as_ref()) {
         warnings.push(format!(
             "{}: {assumption}; say otherwise with bands = [...] in a scene.toml",

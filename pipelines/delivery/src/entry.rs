@@ -1,22 +1,25 @@
-//! One image of a scene before its pixels are read.
+//! An image of a scene before its file is opened.
 
 use super::Split;
 use super::manifest::ManifestImage;
 use super::tiles::ImageFiles;
 use std::path::PathBuf;
 
-/// An image to read, and what was said about it outside of it.
+/// An image to read, with the information from outside of its file.
 #[derive(Debug, Clone)]
 pub(super) struct ImageEntry {
+    /// Name of the image: its file stem, distinct among the images.
     pub(super) name: String,
+    /// The file, or the first of its tiles.
     pub(super) path: PathBuf,
+    /// Train or test.
     pub(super) split: Split,
-    /// Sat-NeRF-like JSON that names it.
+    /// Sat-NeRF JSON that names the image.
     pub(super) json: Option<PathBuf>,
-    /// Its entry in `scene.toml`.
+    /// Entry of the image in `scene.toml`.
     pub(super) said: Option<ManifestImage>,
-    /// The file at `path`, or the tiles whose first it is.
+    /// The file at `path`, or all tiles if `path` is the first of several.
     pub(super) tiles: ImageFiles,
-    /// The multispectral image of the same acquisition, by its name.
+    /// The multispectral image of the same acquisition, matched by name.
     pub(super) multispectral: Option<ImageFiles>,
 }

@@ -1,4 +1,4 @@
-//! Files and folders of a scene by name: images, truth, and folders of the published layouts.
+//! Files and folders of a scene, by name: images, truth, masks, and the folders of published layouts.
 
 use super::SceneError;
 use super::dimap::Dimaps;
@@ -11,7 +11,8 @@ use std::rc::Rc;
 /// Extensions of images, in lower case.
 pub(super) const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
 
-/// Folders, texts and DIMAPs of one opening: each folder is listed once, each text read once, each DIMAP parsed once.
+/// Cache of folders, texts and DIMAPs while a scene is opened: each folder is listed once, each text read once, each
+/// DIMAP parsed once.
 #[derive(Debug, Default)]
 pub(super) struct Folders {
     listed: RefCell<BTreeMap<PathBuf, Rc<Vec<Entry>>>>,
@@ -28,7 +29,7 @@ struct Entry {
 }
 
 impl Folders {
-    /// Reads a text of at most a few megabytes; bytes that are no UTF-8 are replaced.
+    /// Content of a text file of at most a few megabytes; invalid UTF-8 is replaced.
     pub(super) fn text(&self, path: &Path) -> Result<Rc<str>, SceneError> {
         if let Some(text) = self.texts.borrow().get(path) {
             return Ok(Rc::clone(text));
@@ -39,33 +40,33 @@ impl Folders {
         Ok(text)
     }
 
-    /// The texts that were read, by path.
+    /// Paths of the texts that were read.
     pub(super) fn texts_read(&self) -> Vec<PathBuf> {
         self.texts.borrow().keys().cloned().collect()
     }
 
-    /// Images directly in a folder, sorted by name; truth rasters and masks are no images. An absent folder has none.
+    /// Images directly in a folder, sorted by name, without truth rasters and masks. Empty for a missing folder.
     pub(super) fn images(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
         let is_image =
             |path: &PathBuf| has_extension(path, &IMAGE_EXTENSIONS) && !is_truth(path) && mask_of(path).is_none();
         Ok(self.files(folder)?.into_iter().filter(is_image).collect())
     }
 
-    /// Files directly in a folder, sorted by name, hidden ones left out. An absent folder has none.
+    /// Files directly in a folder, sorted by name, without hidden ones. Empty for a missing folder.
     pub(super) fn files(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
         let entries = self.entries(folder)?;
         let files = entries.iter().filter(|entry| entry.is_file);
         Ok(files.map(|entry| entry.path.clone()).collect())
     }
 
-    /// Folders directly in a folder, sorted by name, hidden ones left out. An absent folder has none.
+    /// Folders directly in a folder, sorted by name, without hidden ones. Empty for a missing folder.
     pub(super) fn folders(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
         let entries = self.entries(folder)?;
         let others = entries.iter().filter(|entry| !entry.is_file && entry.path.is_dir());
         Ok(others.map(|entry| entry.path.clone()).collect())
     }
 
-    /// The first file of each name in a folder, names in lower case.
+    /// Files of a folder by their name in lower case; the first file of each name.
     pub(super) fn by_name(&self, folder: &Path) -> Result<Rc<BTreeMap<String, PathBuf>>, SceneError> {
         if let Some(known) = self.by_name.borrow().get(folder) {
             return Ok(Rc::clone(known));
@@ -79,7 +80,7 @@ impl Folders {
         Ok(named)
     }
 
-    /// The DIMAPs of a folder.
+    /// The DIMAPs of a folder that list files.
     pub(super) fn dimaps(&self, folder: &Path) -> Result<Rc<Dimaps>, SceneError> {
         if let Some(known) = self.dimaps.borrow().get(folder) {
             return Ok(Rc::clone(known));
@@ -118,18 +119,19 @@ fn listed(folder: &Path) -> Result<Vec<Entry>, SceneError> {
         }
         let path = entry.path();
         let is_file = match entry.file_type() {
-            // The listing knows the kind, so the file system is not asked again for each file.
+            // The listing contains the kind of each entry; a query for each file would be slow.
             Ok(kind) if !kind.is_symlink() => kind.is_file(),
             _ => path.is_file(),
         };
         found.push(Entry { path, is_file });
     }
-    // In one folder the order of bytes is that of paths, without taking these apart.
+    // Within one folder, byte order equals path order, and is cheaper than comparing path components.
     found.sort_by(|a, b| a.path.as_os_str().cmp(b.path.as_os_str()));
     Ok(found)
 }
 
-/// True if a raster is truth by its name, not an image: `*_DSM.tif`, `*_CLS.tif`, `*_DTM.tif` and our own names.
+/// True if the name of a raster marks it as truth: `*_DSM.tif`, `*_CLS.tif`, `*_DTM.tif` and similar names, or a name
+/// that this program writes.
 pub(super) fn is_truth(path: &Path) -> bool {
     let name = stem(path).to_lowercase();
     let ends = ["_dsm", "_dtm", "_cls", "_cls_v2", "_agl", "_water"];
@@ -139,8 +141,8 @@ pub(super) fn is_truth(path: &Path) -> bool {
         || ends.iter().any(|end| name.ends_with(end))
 }
 
-/// The beginning of the names of the images that a mask is for, in lower case: `…_udm`, `…_udm2` and `…_udm2_clip` of Planet, and others'
-/// `…_mask`, `…_cloud` and `…_clouds`; `None` for any other file.
+/// Common part of the names of a mask and its images, in lower case: the name without `_udm`, `_udm2` or `_udm2_clip`
+/// (Planet), or without `_mask`, `_cloud` or `_clouds`; `None` for any other file.
 fn mask_of(path: &Path) -> Option<String> {
     let name = stem(path).to_lowercase();
     let whole = name.strip_suffix("_clip").unwrap_or(&name);
@@ -148,12 +150,13 @@ fn mask_of(path: &Path) -> Option<String> {
     ends.iter().find_map(|end| whole.strip_suffix(end)).map(str::to_owned)
 }
 
-/// Planet's mask of unusable pixels of an image: `x_3B_udm2` or `x_3B_AnalyticMS_DN_udm` for `x_3B_AnalyticMS`. The second version comes first.
+/// Planet's mask of unusable pixels for an image: `x_3B_udm2` or `x_3B_AnalyticMS_DN_udm` for `x_3B_AnalyticMS`. `udm2`
+/// is preferred to `udm`.
 pub(super) fn usable_mask(image: &Path, folders: &Folders) -> Option<PathBuf> {
     let name = stem(image).to_lowercase();
     let masks = folders.files(super::dimap::folder_of(image)).unwrap_or_default();
     let fits = |path: &PathBuf| {
-        // Whole parts: `x_1` is no beginning of `x_10`.
+        // Only whole parts of names match: `x_1` is no beginning of `x_10`.
         let begins = |of: String| {
             format!("{name}_").starts_with(&format!("{of}_")) || format!("{of}_").starts_with(&format!("{name}_"))
         };
@@ -167,7 +170,7 @@ pub(super) fn usable_mask(image: &Path, folders: &Folders) -> Option<PathBuf> {
     masks.into_iter().next()
 }
 
-/// The line on a raster that this program wrote, which is neither image nor truth; `None` for any other.
+/// Warning about a raster that this program wrote, which is neither image nor truth; `None` for any other raster.
 pub(super) fn own_output(file: &heliosplat_raster::RasterFile) -> Option<String> {
     let software = file.domain("").remove("SOFTWARE")?;
     software.starts_with("heliosplat").then(|| {
@@ -188,16 +191,18 @@ pub(super) fn is_own_folder(folder: &Path) -> bool {
         || ["item.json", "collection.json"].into_iter().any(ours)
 }
 
-/// Names of folders, in lower case, under which DFC2019, Sat-NeRF and EOGS publish one part of a scene each.
+/// Names, in lower case, of folders in which DFC2019, Sat-NeRF and EOGS publish one part of a scene each.
 const PUBLISHED_NAMES: [&str; 7] = ["dfc2019", "root_dir", "images", "img", "imgs", "truth", "cameras"];
-/// Beginnings of such names with a number or a content: `Track3-RGB-crops`, `crops_rpcs_ba_v2`, `rpcs_raw`.
+/// Beginnings of folder names that continue with a number or a content: `Track3-RGB-crops`, `crops_rpcs_ba_v2`,
+/// `rpcs_raw`.
 const PUBLISHED_BEGINNINGS: [&str; 3] = ["track3", "crops_rpcs", "rpcs"];
-/// Levels above a folder up to which its other half is sought under such names: `root_dir/crops_rpcs_raw/JAX_068` and
+/// Number of levels above a folder that are searched for its other half: `root_dir/crops_rpcs_raw/JAX_068` and
 /// `DFC2019/Track3-RGB-crops/JAX_068` meet three levels up.
 const LEVELS_UP: usize = 4;
 
-/// Folders of published names in which the other half of a Sat-NeRF or EOGS scene may lie, given one half, nearest first, up to
-/// [`LEVELS_UP`] levels above it; a folder of the same name inside one counts before the one itself. No other folder is looked at.
+/// Folders of published names that may contain the other half of a Sat-NeRF or EOGS scene, nearest first, up to
+/// [`LEVELS_UP`] levels above `folder`. A subfolder with the name of `folder` precedes the published folder itself. No
+/// other folder is searched.
 pub(super) fn neighbours(folder: &Path, folders: &Folders) -> Vec<PathBuf> {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = file_name(&absolute);
@@ -236,7 +241,7 @@ pub(super) fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// True if a path has one of the extensions, in upper or lower case.
+/// True if a path has one of the `extensions`, in upper or lower case.
 pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     extensions.contains(&extension.as_str())

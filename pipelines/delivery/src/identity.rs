@@ -1,4 +1,4 @@
-//! The identity of files: size, time of change, and a hash of the content that is computed once and kept.
+//! Identity of files: size, modification time, and a hash of the content that is computed once and stored.
 
 use super::SceneError;
 use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
@@ -10,24 +10,24 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Bytes at the beginning of a raster that count for its identity: its header.
+/// Size of a raster's header for its identity, bytes from the beginning of the file.
 const HEADER_BYTES: u64 = 1 << 16;
-/// Name of the file that hashes are kept in.
+/// Name of the file that stores the hashes.
 const HASHES: &str = "inputs.json";
 
-/// A file as it was when it was read.
+/// State of a file at the time of reading.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct FileIdentity {
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// Size and time of change.
+    /// Size and modification time.
     pub seen: Seen,
-    /// SHA-256 of its content, hexadecimal.
+    /// SHA-256 of the content, hexadecimal.
     pub sha256: String,
 }
 
 impl FileIdentity {
-    /// True if the file is unchanged: of the same size and time of change, or of the same content. A file that is gone is not.
+    /// True if the file has the same size and modification time, or the same content. False for a missing file.
     pub fn is_unchanged(&self) -> bool {
         let now = seen(&self.path);
         now == self.seen || (now.bytes == self.seen.bytes && hash(&self.path).is_ok_and(|sha256| sha256 == self.sha256))
@@ -37,7 +37,7 @@ impl FileIdentity {
 /// SHA-256 of a file, hexadecimal.
 ///
 /// # Errors
-/// [`SceneError::Unreadable`].
+/// [`SceneError::Unreadable`] when the file cannot be read.
 pub fn hash(path: &Path) -> Result<String, SceneError> {
     hash_of_start(path, u64::MAX)
 }
@@ -54,21 +54,21 @@ fn hash_of_start(path: &Path, bytes: u64) -> Result<String, SceneError> {
     Ok(hex::encode(hasher.finalize()))
 }
 
-/// SHA-256 of some numbers, hexadecimal.
+/// SHA-256 of the little-endian bytes of `values`, hexadecimal.
 pub fn hash_of_values(values: &[f32]) -> String {
     let mut hasher = Sha256::new();
     values.iter().for_each(|value| hasher.update(value.to_le_bytes()));
     hex::encode(hasher.finalize())
 }
 
-/// Size and time of change of a file, as far as they can be told.
+/// Size and modification time of a file; zero where unavailable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Seen {
     bytes: u64,
     changed_ns: u128,
 }
 
-/// Size and time of change of a file, without reading it; `None` if it does not exist.
+/// Size and modification time of a file, from its metadata alone; both are zero if it does not exist.
 pub fn seen(path: &Path) -> Seen {
     let data = std::fs::metadata(path).ok();
     let changed = data.as_ref().and_then(|data| data.modified().ok());
@@ -79,14 +79,14 @@ pub fn seen(path: &Path) -> Seen {
     }
 }
 
-/// Hashes of files that have not changed since.
+/// Hashes of files, reused for files with unchanged size and modification time.
 #[derive(Debug, Default)]
 pub struct Hashes {
     known: BTreeMap<PathBuf, (Seen, String)>,
 }
 
 impl Hashes {
-    /// The hashes that are kept in `out`.
+    /// Loads the hashes stored in the folder `out`; empty where there are none.
     pub fn open(out: &Path) -> Self {
         let text = read_bytes(&out.join(HASHES), TEXT_MAX).unwrap_or_default();
         Self {
@@ -94,19 +94,19 @@ impl Hashes {
         }
     }
 
-    /// Keeps them in `out`.
+    /// Stores the hashes in the folder `out`.
     ///
     /// # Errors
-    /// When they cannot be written.
+    /// When the file cannot be written.
     pub fn save(&self, out: &Path) -> Result<(), RasterError> {
         let text = serde_json::to_string(&self.known).unwrap_or_default();
         write_atomically(&out.join(HASHES), text.as_bytes())
     }
 
-    /// The identity of a file; its content is read only where size or time of change are not those known.
+    /// Identity of a file; its content is read only if size or modification time differ from the stored ones.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// [`SceneError::Unreadable`] when the file cannot be read.
     pub fn identify(&mut self, path: &Path) -> Result<FileIdentity, SceneError> {
         let now = seen(path);
         let sha256 = match self.known.get(path).filter(|(then, _)| *then == now) {
@@ -121,18 +121,18 @@ impl Hashes {
         })
     }
 
-    /// Takes over identities that are known from elsewhere.
+    /// Adds known identities, for example those of an earlier run.
     pub fn learn(&mut self, identities: impl IntoIterator<Item = FileIdentity>) {
         let known = identities.into_iter();
         self.known
             .extend(known.map(|file| (file.path, (file.seen, file.sha256))));
     }
 
-    /// Names and hashes of files, a line each. Of `rasters`, which may be too large to be read, size, time of change and header count. A file
-    /// on a virtual file system counts by its name.
+    /// Names and hashes of `files`, one line each. For `rasters`, which may be too large to read, size, modification
+    /// time and header are used; for a file on a virtual file system, its name. Missing files are left out.
     ///
     /// # Errors
-    /// When one cannot be read.
+    /// [`SceneError::Unreadable`] when a file cannot be read.
     pub fn of(&mut self, files: &[PathBuf], rasters: &BTreeSet<&Path>) -> Result<String, SceneError> {
         let mut text = String::new();
         for file in files {

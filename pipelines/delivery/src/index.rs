@@ -1,4 +1,4 @@
-//! The index of a delivery: its files, cameras, times, suns, bands, values and truth, as one value. No pixels.
+//! The index of a delivery: its files, cameras, times, suns, bands, values and truth, as one value. No pixels are read.
 
 use super::altitude::{self, AltitudeRange, Stated, StatedAltitudes};
 use super::bands::BandPlan;
@@ -18,24 +18,24 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A delivery: what was found, before anything of it is cut or read.
+/// Content of a delivery, found before any image is cut or read.
 #[derive(Serialize)]
 pub struct Index {
-    /// The folder or `scene.toml`.
+    /// The folder or `scene.toml` that was opened.
     pub source: PathBuf,
-    /// The preferred camera where two differ.
+    /// Preferred kind of camera, for images with several.
     pub rpc: RpcPreference,
-    /// Its images, in the order of the folder or the manifest.
+    /// The images, in the order of the folder or the manifest.
     pub images: Vec<IndexImage>,
-    /// The altitudes that `scene.toml` states, metres above the ellipsoid.
+    /// Lowest and highest altitude in `scene.toml`, metres above the ellipsoid.
     pub altitude_range_m: Option<(f64, f64)>,
-    /// Truth, where the delivery brings it.
+    /// Truth, where the delivery contains it.
     pub truth: Truth,
-    /// All files that describe the delivery: images, sidecars, lists, truth.
+    /// All files that describe the delivery: images, sidecars, lists and truth.
     pub files: Vec<PathBuf>,
-    /// Rows of the table of checks that hold.
+    /// Failed checks of the delivery.
     pub findings: Vec<Finding>,
-    /// Contradictions and assumptions, a line each; the messages of the findings are among them.
+    /// Contradictions and assumptions, one line each; includes the messages of the findings.
     pub warnings: Vec<String>,
 }
 
@@ -44,43 +44,43 @@ pub struct Index {
 pub struct IndexImage {
     /// File stem, distinct among the images.
     pub name: String,
-    /// The file, or the first of its tiles.
+    /// The image file, or the first of its tiles.
     pub path: PathBuf,
-    /// The other files that its pixels come from.
+    /// Further files with pixels of the image: other tiles or bands, or the multispectral half.
     pub others: Vec<PathBuf>,
     /// Train or test.
     pub split: Split,
     /// Columns and rows.
     pub size: (usize, usize),
-    /// Bands that are read.
+    /// Bands that are read, with their kinds.
     pub bands: BandPlan,
-    /// Data type of the first of them, as GDAL names it.
+    /// Data type of the first band, as GDAL names it.
     pub data_type: String,
     /// Rational camera, in the file's pixel coordinates.
     pub rpc: Rpc,
-    /// `image` (tag, or a sidecar that GDAL knows) or a file name.
+    /// Source of the camera: `image` (tag, or a sidecar that GDAL knows) or a file name.
     pub rpc_source: String,
-    /// Time and stated sun.
+    /// Acquisition time, and sun angles from the metadata.
     pub acquisition: Acquisition,
-    /// True if the time is that of a TIFF date tag, whose time zone is unknown.
+    /// True if the time is from a TIFF date tag, whose time zone is unknown.
     pub time_of_tag: bool,
-    /// Calibration of the bands.
+    /// Calibration of the bands, where the metadata contain it.
     pub radiometry: Option<FoundRadiometry>,
-    /// Linear counts, or values encoded for display.
+    /// Linear counts or display values.
     pub counts: Counts,
     /// Source of `counts`: `scene.toml` or `image`; `None` where linear counts are assumed.
     pub counts_source: Option<String>,
-    /// Altitudes that its files state.
+    /// Altitudes in the image's files, metres above the ellipsoid.
     pub altitude: Stated,
-    /// Planet's mask of its unusable pixels, `udm2` or `udm`.
+    /// Planet's mask of unusable pixels (`udm2` or `udm`), if there is one.
     pub usable_mask: Option<PathBuf>,
     #[serde(skip)]
     file: Mutex<RasterFile>,
 }
 
 impl Index {
-    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS. Each folder is listed once, each image and each text
-    /// beside it is opened once.
+    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS. Each folder is listed once; each
+    /// image and each text beside it is opened once.
     ///
     /// # Errors
     /// The first [`SceneError`] found.
@@ -91,7 +91,7 @@ impl Index {
         let mut drafts = drafts::read_all(&layout, rpc, &folders, &mut warnings)?;
         if let Some(at) = drafts.first().and_then(Draft::middle) {
             weak_times::fill(&mut drafts, at, &mut warnings);
-            // Every product needs it, at the end of hours of training.
+            // Every product needs the projection; a missing PROJ database would otherwise fail only after training.
             if let Err(error @ RasterError::ProjDatabase(_)) = Crs::utm(at) {
                 return Err(error.into());
             }
@@ -119,11 +119,12 @@ impl Index {
         })
     }
 
-    /// The altitudes to search: `wanted`, those of `scene.toml`, those of the images' JSON files, `from_ties`, or all that the cameras are
-    /// valid for, with a warning; metres above the ellipsoid.
+    /// Range of altitudes to search, metres above the ellipsoid. The first of these sources that exists is used:
+    /// `wanted`, `scene.toml`, the images' JSON files, `from_ties`, and, with a warning, the common validity range of
+    /// the cameras.
     ///
     /// # Errors
-    /// [`SceneError::AltitudeRange`] where they are none.
+    /// [`SceneError::AltitudeRange`] where the range is empty or outside of the Earth's altitudes.
     pub fn altitudes(
         &self,
         wanted: Option<(f64, f64)>,
@@ -139,10 +140,10 @@ impl Index {
         altitude::choose(said, &stated, warnings)
     }
 
-    /// The content of the delivery, a line per file ([`Hashes::of`]).
+    /// Identity of the delivery's content, one line per file ([`Hashes::of`]).
     ///
     /// # Errors
-    /// When a file cannot be read.
+    /// `SceneError::Unreadable` when a file cannot be read.
     pub fn identity(&self, hashes: &mut Hashes) -> Result<String, SceneError> {
         let images = self.images.iter();
         let mut rasters: BTreeSet<&Path> = images
@@ -158,7 +159,7 @@ impl Index {
         hashes.of(&self.files, &rasters)
     }
 
-    /// The images to train on.
+    /// The images of the training split.
     pub fn training(&self) -> impl Iterator<Item = &IndexImage> {
         self.images.iter().filter(|image| image.split == Split::Train)
     }
@@ -207,18 +208,19 @@ impl IndexImage {
         }
     }
 
-    /// Its open file; one reader at a time.
+    /// The open image file, locked for one reader at a time.
     pub fn file(&self) -> MutexGuard<'_, RasterFile> {
         self.file.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// True if it has eight bits without metadata on their meaning.
+    /// True if the image has eight bits and no metadata on the meaning of its values.
     pub fn has_unstated_bytes(&self) -> bool {
         self.data_type == "Byte" && self.radiometry.is_none() && self.counts_source.is_none()
     }
 
-    /// The sun at a place: computed from the time where there is one, else as the metadata state, else unknown. A sun below the horizon is
-    /// nobody's.
+    /// The sun at a place: computed from the acquisition time, else from the angles in the metadata, else unknown. A
+    /// sun below the horizon counts as unknown; contradictions are added to `warnings`. The standard deviation is
+    /// unknown where the time is from a TIFF date tag.
     pub fn sun(&self, at: GeoPoint, warnings: &mut Vec<String>) -> ImageSun {
         let sun = acquisition::sun(&self.path, &self.acquisition, at, warnings);
         let sigma_deg = sun.sigma_deg.filter(|_| !self.time_of_tag);
@@ -226,7 +228,7 @@ impl IndexImage {
     }
 }
 
-/// The line that states how eight-bit values without metadata are taken.
+/// Warning about the assumed meaning of eight-bit values without metadata.
 fn eight_bits(images: &[IndexImage]) -> Option<String> {
     let unstated = |image: &&IndexImage| image.has_unstated_bytes();
     let count = images.iter().filter(unstated).count();
@@ -238,7 +240,7 @@ fn eight_bits(images: &[IndexImage]) -> Option<String> {
     ))
 }
 
-/// The images, the files that describe them, and the files beside them whose names contain theirs.
+/// The images, the files that describe them, and the files beside them whose names contain an image's name.
 fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft], folders: &Folders) -> Vec<PathBuf> {
     let mut files: BTreeSet<PathBuf> = folders.texts_read().into_iter().collect();
     for name in ["scene.toml", "train.txt", "test.txt"] {
@@ -250,7 +252,7 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft], folders: &Fo
         files.insert(image.clone());
         if let Some(json) = &draft.entry.json {
             files.insert(json.clone());
-            // The lists of a split lie beside the cameras where images have a folder of their own.
+            // The lists of a split lie beside the cameras where images have a separate folder.
             files.extend(["train.txt", "test.txt"].map(|name| json.with_file_name(name)));
         }
         if let Some(said) = &draft.entry.said {
@@ -270,7 +272,7 @@ fn files_of(path: &Path, layout: &layout::Layout, drafts: &[Draft], folders: &Fo
     files.into_iter().filter(|file| !file.is_dir()).collect()
 }
 
-/// Files in an image's folder whose names contain its own.
+/// Files in an image's folder whose names contain the image's name.
 fn sibling_files(image: &Path, folders: &Folders) -> Vec<PathBuf> {
     if is_virtual(image) {
         return Vec::new();

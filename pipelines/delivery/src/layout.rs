@@ -1,5 +1,5 @@
-//! Files of a scene: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS, where images,
-//! cameras (JSON) and truth may lie in folders of their own.
+//! Layout of a scene: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS, where images, cameras
+//! (JSON) and truth may lie in separate folders.
 
 use super::entry::ImageEntry;
 use super::files::{Folders, IMAGE_EXTENSIONS, file_name, has_extension, is_own_folder, neighbours, stem};
@@ -15,18 +15,24 @@ use std::path::{Path, PathBuf};
 /// The files of a scene.
 #[derive(Debug, Clone)]
 pub(super) struct Layout {
+    /// Images, in the order of the folder or the manifest.
     pub(super) images: Vec<ImageEntry>,
+    /// Lowest and highest altitude in `scene.toml`, metres above the ellipsoid.
     pub(super) altitude_range_m: Option<(f64, f64)>,
+    /// Bands of every file from `scene.toml`, in file order.
     pub(super) bands: Option<Vec<BandKind>>,
+    /// Meaning of pixel values from `scene.toml`.
     pub(super) counts: Option<Counts>,
+    /// Truth, where the scene contains it.
     pub(super) truth: Truth,
+    /// Warnings, one line each.
     pub(super) warnings: Vec<String>,
 }
 
-/// Folders of a scene in which its images may lie.
+/// Names of subfolders that may contain a scene's images.
 const IMAGE_FOLDERS: [&str; 3] = ["images", "img", "imgs"];
 
-/// Finds the files of the scene at `path`.
+/// Finds the files of the scene at `path`, a folder or a `scene.toml`.
 pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     if is_virtual(path) {
         return from_virtual_folder(path);
@@ -60,7 +66,8 @@ pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError>
     }
 }
 
-/// A folder on one of GDAL's virtual file systems, which the user named: its images, with the cameras and dates that GDAL finds there.
+/// Layout of a folder on one of GDAL's virtual file systems: its images, with the cameras and dates that GDAL finds
+/// there.
 fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
     let entry = |path: PathBuf| ImageEntry {
         name: stem(&path),
@@ -146,7 +153,7 @@ fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     if images.is_empty() && !index.is_empty() {
         images = index.find_images(&home, folders)?;
     } else if index.is_empty() {
-        // Images of Sat-NeRF or EOGS given without the folder of their JSONs: look beside.
+        // The images lie outside of the folder with their JSONs: search the folders of the published layouts.
         index = cameras_beside(&home, &images, folders, &mut warnings)?;
     }
     if images.is_empty() {
@@ -194,9 +201,9 @@ fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     })
 }
 
-/// The JSONs of images that lie in another folder: of the folder that describes most of them, since cameras of several kinds
-/// must not be mixed; of equals, the folder of the better kind. A folder that has such images itself is another scene, and what its JSONs say is of
-/// those.
+/// JSONs of the images from another folder. The folder that describes most images is used alone, since cameras of
+/// several kinds must not be mixed; of equal folders, the one with better cameras. A folder that contains images of the
+/// same names is another scene, and its JSONs describe those images.
 fn cameras_beside(
     home: &Path,
     images: &[PathBuf],
@@ -214,7 +221,7 @@ fn cameras_beside(
             found.push((folder, index));
         }
     }
-    // A stable sort: what is nearer stays before what is further away.
+    // The sort is stable: nearer folders stay before farther ones.
     found.sort_by_key(|(folder, index)| {
         let kind = camera_kind(folder);
         (
@@ -234,8 +241,8 @@ fn cameras_beside(
     Ok(index)
 }
 
-/// Quality of the cameras of a folder by its path: 0 bundle-adjusted, 1 unknown, 2 raw; and the name that says so, of whose
-/// versions the last in the alphabet counts. `crops_rpcs_ba_v2/JAX_068` is `(0, "crops_rpcs_ba_v2")`.
+/// Quality of a folder's cameras by its path (0 bundle-adjusted, 1 unknown, 2 raw), and the name that shows it; the
+/// last version in alphabetical order is preferred. `crops_rpcs_ba_v2/JAX_068` is `(0, "crops_rpcs_ba_v2")`.
 fn camera_kind(folder: &Path) -> (u8, String) {
     for name in folder
         .iter()
@@ -254,7 +261,7 @@ fn camera_kind(folder: &Path) -> (u8, String) {
     (1, String::new())
 }
 
-/// The line that says which of two folders of cameras was taken.
+/// Warning that names the camera folder in use and an equal one.
 fn chosen_cameras(scene: &Path, used: &Path, other: &Path) -> String {
     let why = match (camera_kind(used).0, camera_kind(other).0) {
         (0, 1..) => "the bundle-adjusted ones of ",
@@ -268,11 +275,11 @@ fn chosen_cameras(scene: &Path, used: &Path, other: &Path) -> String {
     )
 }
 
-/// A folder of cameras on its way to be chosen.
+/// A candidate folder of cameras.
 struct CameraFolder {
     path: PathBuf,
     index: JsonIndex,
-    /// Its path below the scene's top, without the names that only say which kind of cameras it has.
+    /// Path below the scene's top, without names that only state the kind of cameras.
     place: Vec<String>,
 }
 
@@ -288,13 +295,13 @@ impl CameraFolder {
         Self { path, index, place }
     }
 
-    /// True if both are cameras of the same images, of different kinds.
+    /// True if both folders describe cameras of the same images, of different kinds.
     fn is_same_scene(&self, other: &Self) -> bool {
         self.place == other.place && self.index.shares_an_image(&other.index)
     }
 }
 
-/// The best of several folders with cameras of the same images, with a warning that names the others.
+/// Best of several folders with cameras of the same images, with a warning that names the other folders.
 fn best_cameras(top: &Path, mut candidates: Vec<CameraFolder>) -> Vec<(PathBuf, Option<String>)> {
     candidates.sort_by_key(|folder| {
         let kind = camera_kind(&folder.path);
@@ -317,7 +324,8 @@ fn best_cameras(top: &Path, mut candidates: Vec<CameraFolder>) -> Vec<(PathBuf, 
     scenes
 }
 
-/// The folder that holds the scene: `folder` itself, or the only scene below it; of several kinds of cameras of one scene the best.
+/// The folder of the scene: `folder` itself, or the only scene below it; of several kinds of cameras for one scene, the
+/// best.
 fn scene_folder(folder: &Path, folders: &Folders, warnings: &mut Vec<String>) -> Result<Home, SceneError> {
     let by_itself = |folder: PathBuf| Home {
         folder,
@@ -374,12 +382,12 @@ fn scene_folder(folder: &Path, folders: &Folders, warnings: &mut Vec<String>) ->
 /// Location of a scene.
 struct Home {
     folder: PathBuf,
-    /// Its images, where they lie in folders of their own below it.
+    /// Images in subfolders with one image each, as vendors deliver them; `None` where the images are in `folder`.
     delivered: Option<Vec<PathBuf>>,
 }
 
-/// The images of folders that hold one image each, as vendors deliver them: a panchromatic or a multispectral file, both of one
-/// acquisition, or the tiles of one. Folders with several images are scenes of their own.
+/// Images of vendor folders with one image each: a panchromatic file, a multispectral file, both of one acquisition, or
+/// the tiles of one. `None` where a folder has several images, since it is then a separate scene.
 fn delivered(candidates: &[(PathBuf, Option<String>)], folders: &Folders) -> Result<Option<Vec<PathBuf>>, SceneError> {
     let mut all = Vec::new();
     for (folder, _) in candidates {
@@ -392,7 +400,7 @@ fn delivered(candidates: &[(PathBuf, Option<String>)], folders: &Folders) -> Res
     Ok((candidates.len() > 1).then_some(all))
 }
 
-/// The folders of several scenes in one line, the first of them where there are many.
+/// The folders of several scenes in one line, shortened where there are many.
 fn listed(candidates: &[(PathBuf, Option<String>)]) -> String {
     const MOST: usize = 20;
     let mut names: Vec<String> = candidates
@@ -436,7 +444,8 @@ impl SplitLists {
         }))
     }
 
-    /// The split of an image; a list of tests alone leaves all others to training.
+    /// The split of an image; `None` for an image in neither list. Without training names, all images outside of
+    /// `test.txt` are trained on.
     fn split_of(&self, image: &Path, json: Option<&Path>) -> Option<Split> {
         let names = [Some(stem(image)), json.map(stem)];
         let listed = |list: &[String]| names.iter().flatten().any(|name| list.contains(name));
@@ -465,7 +474,7 @@ fn folders_below(folder: &Path, depth: usize, folders: &Folders) -> Result<Vec<P
     Ok(found)
 }
 
-/// Numbers images of one name, passing over names that other images have.
+/// Numbers images of equal names, without using the name of another image.
 fn with_distinct_names(mut images: Vec<ImageEntry>) -> Vec<ImageEntry> {
     let given: BTreeSet<String> = images.iter().map(|image| image.name.clone()).collect();
     let mut taken = BTreeSet::new();

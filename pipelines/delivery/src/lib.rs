@@ -1,8 +1,8 @@
-//! A folder of satellite images becomes a description of what was delivered: files, cameras, times, suns, bands, values and truth.
+//! Description of a folder of satellite images: files, cameras, times, suns, bands, values and truth.
 //!
-//! A delivery is recognised, not declared: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS. Every image needs a
-//! rational camera; its sun may be unknown. No pixels are read. Missing or contradictory metadata are an error of one line that names the
-//! file; odd ones are warnings.
+//! A delivery is recognised by its files: a `scene.toml`, a folder of images, or the folders of Sat-NeRF and EOGS.
+//! Every image needs a rational camera; its sun may be unknown. No pixels are read. Missing or contradictory metadata
+//! are an error of one line with the file; unusual metadata are warnings.
 
 mod acquisition;
 mod altitude;
@@ -51,7 +51,7 @@ use heliosplat_rpc::read::calibration::CalibratedBand;
 use std::path::{Path, PathBuf};
 use tiles::ImageFiles;
 
-/// Kind of a band, as stated by the file.
+/// Kind of a band, from the file or its metadata.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BandKind {
@@ -65,12 +65,12 @@ pub enum BandKind {
     Blue,
     /// Near infrared.
     NearInfrared,
-    /// Unknown.
+    /// Any other or an unknown band.
     Other,
 }
 
 impl BandKind {
-    /// Its name in reports and band descriptions.
+    /// Name of the kind in reports and band descriptions.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pan => "pan",
@@ -82,7 +82,7 @@ impl BandKind {
         }
     }
 
-    /// The kind of a band that metadata name.
+    /// Kind of a band that metadata name.
     pub fn of_metadata(band: CalibratedBand) -> Self {
         match band {
             CalibratedBand::Pan => Self::Pan,
@@ -105,14 +105,15 @@ pub enum Split {
     Test,
 }
 
-/// Preferred kind of camera; an image without it takes the next kind.
+/// Preferred kind of camera; an image without that kind uses the next one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RpcPreference {
-    /// A Sat-NeRF JSON: somebody made it on purpose, by bundle adjustment or for a crop. Then the file beside the image, then its tag.
+    /// A Sat-NeRF JSON, which comes from bundle adjustment or from cropping; then the file beside the image, then its
+    /// tag.
     #[default]
     Json,
-    /// The file beside the image, then its tag; a tag that was moved for a crop comes before the file of the whole image.
+    /// The file beside the image, then its tag; a tag that was moved for a crop precedes the file of the whole image.
     Image,
     /// The file beside the image: RPB, `_RPC.TXT`, XML, `.aux.xml`.
     Sidecar,
@@ -120,12 +121,12 @@ pub enum RpcPreference {
     Tag,
 }
 
-/// Truth that came with a scene.
+/// Truth of a scene.
 #[derive(Debug, Clone, Default, serde::Serialize)]
 pub struct Truth {
-    /// Altitude raster.
+    /// Raster of altitudes, metres.
     pub dsm: Option<PathBuf>,
-    /// Classes, LAS codes.
+    /// Raster of classes, LAS codes.
     pub classes: Option<PathBuf>,
     /// Shadow mask of each image (1 = in cast shadow), by image name.
     pub shadows: Vec<(String, PathBuf)>,
@@ -133,24 +134,26 @@ pub struct Truth {
     pub relit: Option<PathBuf>,
 }
 
-/// The images that the text of a `scene.toml` lists, as it names them.
+/// Paths of the images in the text of a `scene.toml`, as written there.
 ///
 /// # Errors
-/// A sentence that says what is wrong, and in which line.
+/// One sentence with the fault and its line.
 pub fn images_listed(manifest: &str) -> Result<Vec<PathBuf>, String> {
     let manifest = manifest::Manifest::parse(manifest)?;
     Ok(manifest.images.into_iter().map(|image| image.path).collect())
 }
 
-/// The image that the text of a Sat-NeRF JSON describes, and the altitudes it states, metres; `None` where it is none.
+/// Name of the image in the text of a Sat-NeRF JSON, and the lowest and highest altitude there, metres; `None` where
+/// the text is no such JSON.
 pub fn image_described(json: &str) -> Option<(String, [Option<f64>; 2])> {
     satnerf::image_and_altitudes(json)
 }
 
-/// The rational camera of one file by itself: of an image, as a scene would find it, or of an RPC text file.
+/// The rational camera of a single file: of an image, selected as in a scene, or of an RPC text file. Warnings are
+/// logged.
 ///
 /// # Errors
-/// [`SceneError::NoRpc`] and others that name the file.
+/// [`SceneError::NoRpc`] for an image without a camera, and other errors that name the file.
 pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneError> {
     manifest::reject_address(path)?;
     if !path.is_file() {

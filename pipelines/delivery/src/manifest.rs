@@ -1,24 +1,24 @@
-//! `scene.toml`: a scene that lists its images.
+//! `scene.toml`: a list of a scene's images, with optional metadata.
 
 use super::{BandKind, SceneError, Split};
 use heliosplat_rpc::sun::SunPosition;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The file's contents. Paths are relative to the file.
+/// Content of a `scene.toml`. Paths are relative to the file.
 #[derive(Debug, Clone, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Manifest {
-    /// Lowest and highest ellipsoidal altitude, metres.
+    /// Lowest and highest altitude, metres above the ellipsoid.
     pub(super) altitude_range_m: Option<[f64; 2]>,
-    /// Bands of every file, in file order.
+    /// Kinds of the bands of every file, in file order.
     pub(super) bands: Option<Vec<BandKind>>,
-    /// Values proportional to radiance, or encoded for display (sRGB); absent: as each file states.
+    /// Values proportional to radiance, or encoded for display (sRGB); `None` where each file decides.
     pub(super) counts: Option<Counts>,
     /// The images.
     #[serde(default)]
     pub(super) images: Vec<ManifestImage>,
-    /// Truth.
+    /// Truth files.
     pub(super) truth: Option<ManifestTruth>,
 }
 
@@ -26,27 +26,34 @@ pub(super) struct Manifest {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Counts {
-    /// Radiance up to a gain.
+    /// Values proportional to radiance, with an unknown gain.
     Linear,
     /// sRGB-encoded display values.
     Display,
 }
 
-/// One image.
+/// An image in a `scene.toml`.
 #[derive(Debug, Clone, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ManifestImage {
+    /// Image file.
     pub(super) path: PathBuf,
+    /// Train or test; training where absent.
     pub(super) split: Option<Split>,
+    /// File with the rational camera.
     pub(super) rpc: Option<PathBuf>,
+    /// Text file with time or sun angles.
     pub(super) metadata: Option<PathBuf>,
+    /// Acquisition time.
     #[serde(default, deserialize_with = "time")]
     pub(super) time: Option<jiff::Timestamp>,
+    /// Azimuth of the sun, degrees clockwise from north.
     pub(super) sun_azimuth_deg: Option<f64>,
+    /// Elevation of the sun, degrees above the horizon.
     pub(super) sun_elevation_deg: Option<f64>,
 }
 
-/// A time as text, or as TOML writes it; both with a zone.
+/// A time as text or as a TOML date; both need a time zone.
 fn time<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<jiff::Timestamp>, D::Error> {
     let value: toml::Value = serde::Deserialize::deserialize(deserializer)?;
     let text = match value {
@@ -62,18 +69,21 @@ fn time<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<jiff
     text.trim().parse().map(Some).map_err(wrong)
 }
 
-/// Truth files.
+/// Truth files in a `scene.toml`.
 #[derive(Debug, Clone, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ManifestTruth {
+    /// Raster of altitudes, metres.
     pub(super) dsm: Option<PathBuf>,
+    /// Raster of classes, LAS codes.
     pub(super) classes: Option<PathBuf>,
+    /// Raster of each image's shadows (1 = in cast shadow), by image name.
     #[serde(default)]
     pub(super) shadows: BTreeMap<String, PathBuf>,
 }
 
 impl Manifest {
-    /// Contents of the text, with its paths unchanged.
+    /// Parses the text, without resolving its paths.
     pub(super) fn parse(text: &str) -> Result<Self, String> {
         let manifest: Self = toml::from_str(text).map_err(|error| one_line(&error, text))?;
         if manifest.images.is_empty() {
@@ -82,7 +92,7 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// Reads and checks a `scene.toml`; its paths come back resolved against its folder.
+    /// Reads and checks a `scene.toml`; paths are resolved against its folder.
     pub(super) fn read(path: &Path) -> Result<Self, SceneError> {
         let fault = |reason: String| SceneError::Manifest {
             path: path.to_owned(),
@@ -123,7 +133,7 @@ fn resolve(folder: &Path, path: &mut PathBuf) -> Result<(), SceneError> {
     }
 }
 
-/// Refuses web addresses and GDAL's virtual file systems: a scene is read from the disk the user sees.
+/// Refuses web addresses and GDAL's virtual file systems: a scene is read from the user's disk.
 pub(super) fn reject_address(path: &Path) -> Result<(), SceneError> {
     let text = path.to_string_lossy();
     if text.contains("://") || text.starts_with("/vsi") {

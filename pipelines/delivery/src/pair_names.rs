@@ -1,19 +1,19 @@
-//! Panchromatic and multispectral files of one acquisition recognised by vendors' names: `-P1BS-` and `-M1BS-` of Maxar, `_P_` and `_MS_` of
-//! Airbus, `PAN` and `MSS` or `MUX` of GaoFen and SuperView.
+//! Panchromatic and multispectral files of one acquisition recognised by vendors' names: `-P1BS-` and `-M1BS-` of
+//! Maxar, `_P_` and `_MS_` of Airbus, `PAN` and `MSS` or `MUX` of GaoFen and SuperView.
 
 use super::files::stem;
 use super::tiles::ImageFiles;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Half of a bundle, by name.
+/// Half of a bundle, from the file name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Half {
     Panchromatic,
     Multispectral,
 }
 
-/// A bundle in a file's name: its half, and the rest of the name, which both halves have in common.
+/// Half of a bundle in a file's name, and the name with a placeholder for it, equal for both halves.
 fn half_of(name: &str) -> Option<(Half, String)> {
     let mut half = None;
     let name = name.to_uppercase();
@@ -33,7 +33,7 @@ fn half_of(name: &str) -> Option<(Half, String)> {
     Some((half?, rest.join("_")))
 }
 
-/// Half in one part of a name, and the placeholder for it in both halves.
+/// Half of a bundle in one part of a name, and the placeholder, equal for both halves.
 fn half_of_part(part: &str) -> Option<(Half, String)> {
     use Half::{Multispectral, Panchromatic};
     let both = |half: Half, rest: &str| Some((half, format!("*{rest}")));
@@ -55,8 +55,8 @@ fn half_of_part(part: &str) -> Option<(Half, String)> {
     }
 }
 
-/// Takes the multispectral halves out of a list of images; what is left comes with the multispectral half of each panchromatic image,
-/// as far as names tell.
+/// Separates the multispectral halves from a list of images; returns the other images, and the multispectral half for
+/// each panchromatic image that has one by its name.
 pub(super) fn by_name(images: Vec<ImageFiles>) -> (Vec<ImageFiles>, BTreeMap<PathBuf, ImageFiles>) {
     let mut halves: BTreeMap<String, [Vec<ImageFiles>; 2]> = BTreeMap::new();
     for image in &images {

@@ -1,7 +1,7 @@
-//! Panchromatic and multispectral images of one acquisition: pairing, and one image of both.
+//! Panchromatic and multispectral images of one acquisition: pairing, and joining both into one image.
 //!
-//! Vendors deliver such bundles in two files of the same ground and second. They are told by their names (`pair_names.rs`), or by their
-//! times; their cameras must agree.
+//! Vendors deliver such bundles in two files of the same ground and second. They are recognised by their names
+//! (`pair_names.rs`) or by their times; their cameras must agree.
 
 use super::bands;
 use super::draft::Draft;
@@ -15,16 +15,18 @@ use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Cameras of one acquisition must agree to this, multispectral pixels.
+/// Largest distance between the cameras of one acquisition, multispectral pixels.
 const AGREE_PX: f64 = 1.0;
-/// Panchromatic pixels along the side of a multispectral one: four for all satellites of today, five for KOMPSAT's and some others.
+/// Allowed number of panchromatic pixels along the side of a multispectral pixel: four for most satellites of today,
+/// five for KOMPSAT's and some others.
 const RATIOS: std::ops::RangeInclusive<f64> = 1.8..=6.5;
-/// Both halves are taken within this time; the images of a stereo pair in one pass lie tens of seconds apart, milliseconds.
+/// Largest time between the two halves of a bundle, milliseconds; the images of a stereo pair in one pass lie tens of
+/// seconds apart.
 const SAME_TIME_MS: i64 = 2_500;
-/// Share of the panchromatic image that the other must show.
+/// Least share of the panchromatic image that the multispectral image must show.
 const LEAST_SHOWN: f64 = 0.5;
 
-/// An image, panchromatic until now, pansharpened with its multispectral half.
+/// Joins a panchromatic image with its multispectral half, for pansharpening.
 pub(super) fn with_colours(
     draft: Draft,
     multispectral: &ImageFiles,
@@ -54,7 +56,7 @@ pub(super) fn with_colours(
     };
     let mut ignored = Vec::new();
     let camera = camera::find(&colours, &entry, RpcPreference::Image, folders, &mut ignored)?;
-    // A camera that somebody adjusted is none of the vendor's, whose two cameras belong together.
+    // An adjusted camera is not comparable: only the vendor's two cameras agree with each other.
     let own = camera::of_vendor(pan, folders)?.unwrap_or_else(|| draft.rpc.clone());
     let found = relation(&own, pan.size(), &camera.used.rpc, colours.size())
         .map_err(|source| not_a_pair(format!("their cameras cannot be compared ({source})")))?;
@@ -64,7 +66,7 @@ pub(super) fn with_colours(
     Ok(Draft {
         plan: bands::plan(&colours, declared, folders)?,
         acquisition: draft.acquisition.merge(acquisition::find(&colours, &entry, folders)?),
-        // Pansharpening keeps the ratios between bands: they are those of the multispectral file.
+        // Pansharpening keeps the ratios between bands, so the calibration of the multispectral file applies.
         radiometry: calibration::find(&colours, &entry, folders)?,
         file: RasterFile::pansharpened(draft.file, colours, &found.relation),
         multispectral: Some(multispectral.path.clone()),
@@ -72,17 +74,17 @@ pub(super) fn with_colours(
     })
 }
 
-/// Place of the panchromatic pixels in the multispectral image.
+/// Relation between the pixel grids of a panchromatic and a multispectral image.
 struct Found {
     relation: GridRelation,
-    /// Largest distance from it, multispectral pixels.
+    /// Largest residual of the relation, multispectral pixels.
     residual_px: f64,
-    /// Share of the panchromatic image inside the other.
+    /// Share of the panchromatic image inside the multispectral one, 0..1.
     shown: f64,
 }
 
 impl Found {
-    /// Reason against a common acquisition, if there is one.
+    /// Reason against a common acquisition; `None` where there is none.
     fn fault(&self) -> Option<String> {
         let [across, down] = self.relation.scale.map(|scale| 1.0 / scale);
         if !RATIOS.contains(&across) || !RATIOS.contains(&down) {
@@ -99,10 +101,11 @@ impl Found {
     }
 }
 
-/// Places over an image that are compared, along each axis.
+/// Number of compared places along each axis of an image.
 const PLACES: usize = 5;
 
-/// Scale and offset by least squares over places of the ground at the height the panchromatic camera is made for.
+/// Scale and offset of each axis by least squares, from ground points at the height offset of the panchromatic camera.
+/// Sizes are columns and rows.
 fn relation(
     pan: &Rpc,
     (width, height): (usize, usize),
@@ -141,7 +144,7 @@ fn relation(
     };
     Ok(Found {
         relation,
-        // What is no number disagrees.
+        // NaN counts as disagreement.
         residual_px: if residual_px.is_nan() {
             f64::INFINITY
         } else {
@@ -151,7 +154,8 @@ fn relation(
     })
 }
 
-/// Joins drafts that were taken at one time, where some images are panchromatic and others have colours.
+/// Joins drafts of one acquisition time, in scenes with both panchromatic and colour images. Names do not confirm these
+/// pairs, so their cameras must agree.
 pub(super) fn by_time(
     drafts: Vec<Draft>,
     declared: Option<&[BandKind]>,
@@ -169,7 +173,7 @@ pub(super) fn by_time(
     let mut near: Vec<[usize; 2]> = Vec::new();
     for (index, pan) in drafts.iter().enumerate().filter(|(_, draft)| is_pan(draft)) {
         let others = drafts.iter().enumerate().filter(|(_, draft)| has_colours(draft));
-        // Without a name that says so, a pair is what cameras say too.
+        // Without matching names, the cameras must confirm the pair.
         let others = others.filter(|(_, other)| {
             relation(&pan.rpc, pan.file.size(), &other.rpc, other.file.size())
                 .is_ok_and(|found| found.fault().is_none())
@@ -177,7 +181,7 @@ pub(super) fn by_time(
         let at_once = others.filter(|(_, other)| apart_ms(pan, other).is_some_and(|apart| apart <= SAME_TIME_MS));
         near.extend(at_once.map(|(place, _)| [index, place]));
     }
-    // Times that more than two images share, such as a date alone, tell nothing.
+    // A time that more than two images share, such as a date alone, does not identify a pair.
     let alone = |pair: &&[usize; 2]| {
         let shared = near.iter().filter(|other| (0..2).any(|k| other[k] == pair[k]));
         shared.count() == 1
@@ -201,7 +205,7 @@ pub(super) fn by_time(
     Ok(joined)
 }
 
-/// The line that says which images were joined.
+/// Warning that lists the joined images; `None` where there are none.
 pub(super) fn joined_pairs(drafts: &[Draft]) -> Option<String> {
     let joined: Vec<&Draft> = drafts.iter().filter(|draft| draft.multispectral.is_some()).collect();
     let first = joined.first()?;

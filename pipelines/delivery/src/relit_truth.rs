@@ -1,7 +1,8 @@
 //! Truth for relighting: images from straight above under suns that no image of the scene had.
 //!
-//! A folder holds `relit.json`, a list of `{sun_azimuth_deg, sun_elevation_deg}`, and for each entry K, counted from zero, the
-//! georeferenced rasters `relit_K.tif` (linear counts, the scene's bands) and `relit_K_shadow.tif` (1 = in cast shadow).
+//! A folder contains `relit.json`, a list of `{sun_azimuth_deg, sun_elevation_deg}`, and for each entry K, counted from
+//! zero, the georeferenced rasters `relit_K.tif` (linear counts, the scene's bands) and `relit_K_shadow.tif` (1 = in
+//! cast shadow).
 
 use super::SceneError;
 use heliosplat_rpc::sun::SunPosition;
@@ -9,17 +10,17 @@ use std::path::{Path, PathBuf};
 
 /// Name of the list of suns.
 pub(super) const LIST: &str = "relit.json";
-/// Most suns that are believed.
+/// Largest number of suns in a list.
 const MOST_SUNS: usize = 10_000;
 
-/// The truth under one sun.
+/// Truth under one sun.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RelitTruth {
     /// Position of the sun.
     pub sun: SunPosition,
-    /// The image.
+    /// Path of the image, linear counts in the scene's bands.
     pub image: PathBuf,
-    /// The shadow mask.
+    /// Path of the shadow mask (1 = in cast shadow).
     pub shadow: PathBuf,
 }
 
@@ -29,11 +30,11 @@ struct Entry {
     sun_elevation_deg: f64,
 }
 
-/// The truth for relighting in a folder.
+/// Truth for relighting in a folder, in the order of its list.
 ///
 /// # Errors
-/// [`SceneError::Unreadable`] without a readable `relit.json`, [`SceneError::Manifest`] where it is no list of suns, and
-/// [`SceneError::MissingImage`] where a raster is absent.
+/// [`SceneError::Unreadable`] without a readable `relit.json`, [`SceneError::Manifest`] where it is no list of suns,
+/// and [`SceneError::MissingImage`] where a raster is missing.
 pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>, SceneError> {
     let list = folder.join(LIST);
     let text = heliosplat_raster::bounded::read_text(&list).map_err(|error| SceneError::Unreadable {
@@ -68,7 +69,7 @@ pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>, SceneError> {
     entries.into_iter().enumerate().map(truth).collect()
 }
 
-/// The folder of a truth raster, or the scene's own `truth` folder, if it holds truth for relighting.
+/// The folder of a truth raster, or else the scene's `truth` folder, if it contains truth for relighting.
 pub(super) fn folder_of(dsm: Option<&Path>, home: &Path) -> Option<PathBuf> {
     let beside = dsm.and_then(Path::parent).map(Path::to_owned);
     let mut folders = beside.into_iter().chain([home.join("truth")]);

@@ -1,4 +1,4 @@
-//! The JSON files of Sat-NeRF and EOGS: image and altitudes of each.
+//! JSON files of Sat-NeRF and EOGS: name and altitudes of each image.
 
 use super::SceneError;
 use super::files::{Folders, file_name, has_extension, neighbours, stem};
@@ -6,7 +6,7 @@ use heliosplat_raster::RasterFile;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The parts of a Sat-NeRF JSON that tie it to an image; its camera and sun are read by `heliosplat_rpc`.
+/// Fields of a Sat-NeRF JSON that describe the image; its camera and sun are read by `heliosplat_rpc`.
 #[derive(Debug, Clone, serde::Deserialize)]
 struct Description {
     img: String,
@@ -40,19 +40,20 @@ fn description(text: &str) -> Option<Description> {
     Some(description)
 }
 
-/// The image that the text of a Sat-NeRF JSON describes, and the altitudes it states, metres.
+/// Name of the image in the text of a Sat-NeRF JSON, and the lowest and highest altitude there, metres; `None` where
+/// the text is no such JSON.
 pub(super) fn image_and_altitudes(text: &str) -> Option<(String, [Option<f64>; 2])> {
     let description = description(text)?;
     Some((description.img, [description.min_alt, description.max_alt]))
 }
 
-/// The Sat-NeRF JSON of an image in the same folder, by its name.
+/// The Sat-NeRF JSON beside an image, under the image's name; `None` where there is none.
 pub(super) fn json_of(image: &Path, folders: &Folders) -> Option<PathBuf> {
     let json = image.with_extension("json");
     (json.is_file() && describe(&json, folders).is_some()).then_some(json)
 }
 
-/// Lowest and highest altitude a Sat-NeRF JSON states, metres.
+/// Lowest and highest altitude in a Sat-NeRF JSON, metres; `None` where one is missing.
 pub(super) fn altitude_range(json: &Path, folders: &Folders) -> Option<(f64, f64)> {
     let description = describe(json, folders)?;
     Some((description.min_alt?, description.max_alt?))
@@ -65,7 +66,7 @@ pub(super) struct JsonIndex {
 }
 
 impl JsonIndex {
-    /// Reads all JSONs directly in a folder; those that describe no image are no matter.
+    /// Reads all JSONs directly in a folder; JSONs that describe no image are ignored.
     pub(super) fn read(folder: &Path, folders: &Folders) -> Result<Self, SceneError> {
         let mut index = Self::default();
         for path in folders.files(folder)? {
@@ -79,12 +80,12 @@ impl JsonIndex {
         Ok(index)
     }
 
-    /// True if the folder had none.
+    /// True if no JSON of the folder describes an image.
     pub(super) fn is_empty(&self) -> bool {
         self.by_image.is_empty()
     }
 
-    /// Only those that describe one of the images by its whole file name.
+    /// Keeps the JSONs that describe one of `images`, by its whole file name.
     pub(super) fn restricted_to(mut self, images: &[PathBuf]) -> Self {
         let names: BTreeSet<String> = images.iter().map(|image| file_name(image)).collect();
         self.by_image
@@ -92,7 +93,7 @@ impl JsonIndex {
         self
     }
 
-    /// Number of images that are described here.
+    /// Number of `images` that a JSON of this index describes.
     pub(super) fn count_of(&self, images: &[PathBuf]) -> usize {
         images
             .iter()
@@ -100,22 +101,23 @@ impl JsonIndex {
             .count()
     }
 
-    /// True if both describe an image of the same name.
+    /// True if both indices describe an image of the same name.
     pub(super) fn shares_an_image(&self, other: &Self) -> bool {
         self.by_image.keys().any(|image| other.by_image.contains_key(image))
     }
 
-    /// The folder of the first of them.
+    /// The folder of the first JSON; `None` for an empty index.
     pub(super) fn folder(&self) -> Option<&Path> {
         self.by_image.values().next().and_then(|(json, _)| json.parent())
     }
 
-    /// The JSON that describes an image.
+    /// The JSON that describes an image, by the image's stem.
     pub(super) fn json_of(&self, image: &Path) -> Option<PathBuf> {
         self.by_image.get(&stem(image)).map(|(json, _)| json.clone())
     }
 
-    /// The images described here, which lie in another folder near `home`.
+    /// Finds the described images in another folder near `home`; fails with `SceneError::MissingImage` where one is not
+    /// found.
     pub(super) fn find_images(&self, home: &Path, folders: &Folders) -> Result<Vec<PathBuf>, SceneError> {
         let mut available: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
         for folder in neighbours(home, folders) {
@@ -139,7 +141,8 @@ impl JsonIndex {
     }
 }
 
-/// The first of several images of one name that has as many pixels as the JSON says: crops bear the names of the whole images.
+/// The first of several images of one name whose size is that in the JSON, else the first image: crops have the names
+/// of the whole images.
 fn of_stated_size<'a>(paths: &'a [PathBuf], json: &Path, folders: &Folders) -> &'a PathBuf {
     let stated = || {
         let description = describe(json, folders)?;

@@ -7,7 +7,8 @@ use super::{SceneError, dimap, tiles};
 use heliosplat_raster::is_virtual;
 use std::path::{Path, PathBuf};
 
-/// All texts that describe an image, the strongest first: what `scene.toml` names, the JSON that names the image, what lies beside it.
+/// All texts that describe an image, by precedence: the metadata file in `scene.toml`, the JSON that names the image,
+/// and the texts beside the image.
 pub(super) fn describing_texts(
     entry: &ImageEntry,
     image: &Path,
@@ -19,14 +20,14 @@ pub(super) fn describing_texts(
     Ok(texts)
 }
 
-/// Text files beside an image that belong to it by their name: `X.RPB`, `X_RPC.TXT`, `X.XML`, `RPC_X.XML`, `DIM_X.XML` …
-/// for an image `X.TIF` or `IMG_X_R1C1.TIF`.
+/// Text files beside an image that belong to it by their name: `X.RPB`, `X_RPC.TXT`, `X.XML`, `RPC_X.XML`, `DIM_X.XML`
+/// … for an image `X.TIF` or `IMG_X_R1C1.TIF`.
 pub(super) fn belonging_texts(image: &Path, folders: &Folders) -> Result<Vec<PathBuf>, SceneError> {
     if is_virtual(image) {
         return Ok(Vec::new());
     }
     let name = stem(image).to_lowercase();
-    // What is said of a product is said of its tiles.
+    // The texts of a product apply to its tiles.
     let whole = tiles::product_name(&name);
     let product = whole.as_deref().unwrap_or(&name);
     let product = product.strip_prefix("img_").unwrap_or(product);
@@ -55,7 +56,7 @@ pub(super) fn belonging_texts(image: &Path, folders: &Folders) -> Result<Vec<Pat
     let by_name = folders.by_name(folder_of(image))?;
     let named = |want: &String| by_name.get(want).cloned();
     let mut found: Vec<PathBuf> = wanted.iter().filter_map(named).collect();
-    // A DIMAP says whose it is, whatever the names.
+    // A DIMAP lists its images, whatever their names.
     if let Some(dimap) = dimap::of_image(image, folders)? {
         let rest = file_name(&dimap).to_lowercase();
         let camera = rest.strip_prefix(dimap::PREFIX).map(|rest| format!("rpc_{rest}"));

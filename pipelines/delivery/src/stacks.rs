@@ -1,5 +1,5 @@
-//! The bands of one acquisition in several files, recognised by vendors' names: `…_RGB_…` and `…_NED_…` of Pleiades Neo, `…_red_…`, `…_grn_…`,
-//! `…_blu_…` and `…_nir_…` of GeoEye.
+//! Bands of one acquisition in several files, recognised by vendors' names: `…_RGB_…` and `…_NED_…` of Pleiades Neo,
+//! `…_red_…`, `…_grn_…`, `…_blu_…` and `…_nir_…` of GeoEye.
 
 use super::SceneError;
 use super::files::{Folders, stem};
@@ -7,7 +7,8 @@ use super::tiles::{self, ImageFiles};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Parts of names, the bands of such files as [`super::bands`] reads their names, in the order of the joined image.
+/// Parts of file names and the bands of such files, under the names that [`super::bands`] recognises, in band order of
+/// the joined image.
 const PARTS: [(&str, &[&str]); 8] = [
     ("RGB", &["red", "green", "blue"]),
     ("RED", &["red"]),
@@ -16,15 +17,16 @@ const PARTS: [(&str, &[&str]); 8] = [
     ("BLU", &["blue"]),
     ("BLUE", &["blue"]),
     ("NIR", &["near_infrared"]),
-    // Near infrared, red edge, deep blue.
+    // NED: near infrared, red edge, deep blue.
     ("NED", &["near_infrared", "red_edge", "deep_blue"]),
 ];
 
-/// The bands that a name states, and the rest of the name, which all files of one acquisition have in common.
+/// Index in `PARTS` of the bands in a file name, and the name with a placeholder for them, equal for all files of one
+/// acquisition.
 fn part_of(name: &str) -> Option<(usize, String)> {
     let name = name.to_uppercase();
     let mut parts: Vec<&str> = name.split('_').collect();
-    // What stands last counts: places are called Red and Blue too.
+    // The last part counts: place names contain Red and Blue too.
     let (at, which) = (0..parts.len()).rev().find_map(|at| {
         let which = PARTS.iter().position(|(part, _)| *part == parts[at])?;
         Some((at, which))
@@ -33,15 +35,15 @@ fn part_of(name: &str) -> Option<(usize, String)> {
     Some((which, parts.join("_")))
 }
 
-/// Files as images: the tiles of one image are one, and so are the files of its bands.
+/// Groups files into images: the tiles of an image become one image, and so do the files of its bands.
 ///
 /// # Errors
-/// As [`tiles::joined`].
+/// Those of [`tiles::joined`].
 pub(super) fn images(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>, SceneError> {
     Ok(joined(tiles::joined(files, folders)?))
 }
 
-/// Joins images whose names differ in the bands alone, where these are red, green and blue in files of their own, or RGB and NED.
+/// Joins images whose names differ in the band part alone: separate files of red, green and blue, or RGB and NED.
 fn joined(images: Vec<ImageFiles>) -> Vec<ImageFiles> {
     let mut groups: BTreeMap<(PathBuf, String), BTreeMap<usize, usize>> = BTreeMap::new();
     for (index, image) in images.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The sun of an image: direction, standard deviation and source. It may be unknown.
+//! Sun of an image: direction, standard deviation and source. It may be unknown.
 
 use heliosplat_rpc::sun::SunPosition;
 
@@ -8,17 +8,17 @@ use heliosplat_rpc::sun::SunPosition;
 pub enum SunSource {
     /// Computed from the acquisition time.
     Time,
-    /// Angles that the metadata state.
+    /// Angles from the metadata.
     Metadata,
     /// Estimated from cast shadows.
     Shadows,
-    /// Nobody says: the sun is unknown.
+    /// No source: the sun is unknown.
     #[default]
     None,
 }
 
 impl SunSource {
-    /// Its name in reports.
+    /// Name of the source in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Time => "time",
@@ -29,40 +29,41 @@ impl SunSource {
     }
 }
 
-/// Standard deviation of a sun computed from a time, degrees: vendors give the first line of a strip or the full minute, and in half
-/// a minute the sun moves 0.125 degree.
+/// Standard deviation of a sun computed from a time, degrees: vendors state the time of a strip's first line or the
+/// full minute, and the sun moves 0.125 degree in half a minute.
 const TIME_SIGMA_DEG: f64 = 0.1;
-/// Standard deviation of a sun that metadata state, degrees: vendors use the geocentric vertical, up to 0.2 degree off the geodetic one.
+/// Standard deviation of a sun from metadata, degrees: vendors use the geocentric vertical, up to 0.2 degree off the
+/// geodetic one.
 const METADATA_SIGMA_DEG: f64 = 0.2;
 
 /// The sun of one image.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct ImageSun {
-    /// Its position; `None` if unknown.
+    /// Position of the sun; `None` if unknown.
     pub position: Option<SunPosition>,
-    /// Standard deviation of its direction, degrees; `None` where it is unknown.
+    /// Standard deviation of the direction, degrees; `None` if unknown.
     pub sigma_deg: Option<f64>,
-    /// Its source.
+    /// Source of the position.
     pub source: SunSource,
 }
 
 impl ImageSun {
-    /// Computed from the acquisition time.
+    /// Sun computed from the acquisition time, with its standard deviation.
     pub fn from_time(position: SunPosition) -> Self {
         Self::known(position, TIME_SIGMA_DEG, SunSource::Time)
     }
 
-    /// A sun from metadata.
+    /// Sun from the angles in the metadata, with its standard deviation.
     pub fn from_metadata(position: SunPosition) -> Self {
         Self::known(position, METADATA_SIGMA_DEG, SunSource::Metadata)
     }
 
-    /// Estimated from cast shadows, with its standard deviation, degrees.
+    /// Sun estimated from cast shadows; `sigma_deg` is its standard deviation, degrees.
     pub fn from_shadows(position: SunPosition, sigma_deg: f64) -> Self {
         Self::known(position, sigma_deg, SunSource::Shadows)
     }
 
-    /// Nobody says.
+    /// Unknown sun.
     pub fn unknown() -> Self {
         Self::default()
     }

@@ -11,18 +11,19 @@ use std::path::{Path, PathBuf};
 pub(super) struct ImageFiles {
     /// The file, or the first tile.
     pub(super) path: PathBuf,
-    /// Its tiles by row and column as their names, or the DIMAP that lists them, count them; empty for a file by itself.
+    /// Tiles by row and column, as counted in their names or in the DIMAP that lists them; empty for a single file.
     pub(super) tiles: BTreeMap<[u32; 2], PathBuf>,
-    /// Columns and rows from one tile to the next, where a DIMAP says so.
+    /// Columns and rows from one tile to the next, where a DIMAP states them; else the sizes of the tiles or a `.TIL`
+    /// decide.
     pub(super) step_px: Option<[usize; 2]>,
     /// Files of the same pixels with further bands.
     pub(super) more: Vec<Self>,
-    /// Names of its own bands, where it is one of several such files.
+    /// Names of the bands of this file; empty if the image is a single file.
     pub(super) bands: &'static [&'static str],
 }
 
 impl ImageFiles {
-    /// One file.
+    /// An image in one file.
     pub(super) fn one(path: PathBuf) -> Self {
         Self {
             path,
@@ -33,7 +34,7 @@ impl ImageFiles {
         }
     }
 
-    /// Opens the file, or the tiles, or the files of all bands as one image.
+    /// Opens the file, the tiles, or the files of all bands as one image.
     pub(super) fn open(&self, folders: &Folders) -> Result<RasterFile, SceneError> {
         if self.more.is_empty() {
             return self.open_bands(folders);
@@ -57,7 +58,8 @@ impl ImageFiles {
         Ok(RasterFile::tiled(&self.placed(folders)?)?)
     }
 
-    /// The tiles where their DIMAP or a `.TIL` beside them says, else side by side as they are counted.
+    /// Positions of the tiles: from their DIMAP or a `.TIL` beside them, else side by side in the order of their
+    /// counting.
     fn placed(&self, folders: &Folders) -> Result<Vec<Tile>, SceneError> {
         if let Some(step_px) = self.step_px {
             return Ok(self.at_steps(step_px));
@@ -84,7 +86,7 @@ impl ImageFiles {
         self.side_by_side()
     }
 
-    /// The tiles at equal distances.
+    /// Positions of the tiles at equal distances.
     fn at_steps(&self, [columns, rows]: [usize; 2]) -> Vec<Tile> {
         let tile = |([row, col], path): (&[u32; 2], &PathBuf)| Tile {
             path: path.clone(),
@@ -98,7 +100,7 @@ impl ImageFiles {
             path: path.to_owned(),
             reason,
         };
-        // Width of each column of tiles, height of each row.
+        // Width of each column of tiles, and height of each row.
         let (mut widths, mut heights) = (BTreeMap::new(), BTreeMap::new());
         for ([row, col], path) in &self.tiles {
             let (width, height) = RasterFile::open(path)?.size();
@@ -125,19 +127,19 @@ impl ImageFiles {
     }
 }
 
-/// Number of tiles before the one of this number, counted from one.
+/// Number of tiles before the tile of a number; the first number is one.
 fn before(number: u32) -> usize {
     number.saturating_sub(1) as usize
 }
 
-/// Row and column in a tile's name, and the name without them.
+/// Row and column in a tile's name, and the rest of the name.
 fn tile_of(name: &str) -> Option<([u32; 2], String)> {
     let is_edge = |c: char| c == '_' || c == '-';
     let mut start = 0;
     for part in name.split(is_edge) {
         let end = start + part.len();
         if let Some(place) = place_of(part) {
-            // The separator before it goes too.
+            // The separator before row and column is dropped with them.
             let rest = format!("{}{}", &name[..start.saturating_sub(1)], &name[end..]);
             return Some((place, rest));
         }
@@ -156,15 +158,15 @@ fn place_of(part: &str) -> Option<[u32; 2]> {
     Some([number(row)?, number(col)?])
 }
 
-/// The name of the image that a file is a tile of, by the file's own name.
+/// Name of the image that a tile belongs to; `None` where `name` is not that of a tile.
 pub(super) fn product_name(name: &str) -> Option<String> {
     tile_of(name).map(|(_, rest)| rest)
 }
 
-/// Files as images: the tiles of one image are one, as a DIMAP beside them lists them, else by their names.
+/// Groups files into images: the tiles of an image become one, by the DIMAP beside them, else by their names.
 ///
 /// # Errors
-/// [`SceneError::MissingTile`] when a DIMAP lists a tile that is not there.
+/// [`SceneError::MissingTile`] when a DIMAP lists a tile that does not exist.
 pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>, SceneError> {
     let mut images = Vec::new();
     let mut taken: BTreeSet<PathBuf> = BTreeSet::new();
@@ -189,7 +191,7 @@ pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<Image
     Ok(images)
 }
 
-/// The tiles of one image as their names tell.
+/// Groups tiles into images by their names.
 fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
     let mut products: BTreeMap<(PathBuf, String), BTreeMap<[u32; 2], PathBuf>> = BTreeMap::new();
     for path in &files {
@@ -220,12 +222,12 @@ fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
     images
 }
 
-/// Column and row of the first pixel of each tile in the text of a Maxar `.TIL`, by file name in lower case.
+/// Column and row of the first pixel of each tile in the text of a Maxar `.TIL`; keys are file names in lower case.
 pub fn places_in_til(text: &str) -> BTreeMap<String, [usize; 2]> {
     let mut places = BTreeMap::new();
     let (mut name, mut col) = (None, None);
     for statement in text.split(';') {
-        // Groups begin and end without a semicolon: the last assignment counts.
+        // Groups begin and end without a semicolon: the last assignment of a statement counts.
         let Some((key, value)) = statement.rsplit_once('=') else {
             continue;
         };

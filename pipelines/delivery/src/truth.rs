@@ -1,12 +1,13 @@
-//! Truth that comes with a scene: our own `truth/` folder, or the rasters of Sat-NeRF, EOGS and DFC2019.
+//! Truth of a scene: our own `truth/` folder, or the rasters of Sat-NeRF, EOGS and DFC2019.
 
 use super::files::{Folders, file_name, has_extension, is_truth, neighbours, own_output, stem};
 use super::{Truth, relit_truth};
 use heliosplat_raster::RasterFile;
 use std::path::{Path, PathBuf};
 
-/// Looks for truth in the scene's `truth` folder and its own, then in truth folders of published layouts, where only rasters
-/// that bear the scene's name are taken: that of its folder, or what the names of its images begin with.
+/// Finds the truth of a scene: in the scene's `truth` folder and in the scene's own folder, then in truth folders of
+/// published layouts. In the latter, only rasters with the scene's name count: the name of its folder, or the common
+/// beginning of its image names.
 pub(super) fn find_for(home: &Path, images: &[String], folders: &Folders, warnings: &mut Vec<String>) -> Truth {
     let folder = file_name(&home.canonicalize().unwrap_or_else(|_| home.to_owned()));
     let named_by_folder = find(home, &folder, folders, warnings);
@@ -21,12 +22,13 @@ pub(super) fn find_for(home: &Path, images: &[String], folders: &Folders, warnin
 }
 
 impl Truth {
-    /// The map of changes beside the surface model, `change.tif`, if there is one.
+    /// The map of changes beside the surface model (`change.tif`), if there is one.
     pub fn changes(&self) -> Option<PathBuf> {
         self.sibling("change.tif")
     }
 
-    /// The surface model at the time of the first image beside the one at the last, `dsm_before.tif`, if there is one.
+    /// The surface model at the time of the first image (`dsm_before.tif`, beside the surface model at the time of the
+    /// last image), if there is one.
     pub fn before(&self) -> Option<PathBuf> {
         self.sibling("dsm_before.tif")
     }
@@ -37,7 +39,8 @@ impl Truth {
     }
 }
 
-/// Common beginning of the names of all images, up to an underscore: `JAX_068` of `JAX_068_001_RGB` and `JAX_068_012_RGB`.
+/// Common beginning of the names of all images, up to an underscore: `JAX_068` for `JAX_068_001_RGB` and
+/// `JAX_068_012_RGB`.
 fn area_of(images: &[String]) -> Option<String> {
     let first = images.first()?;
     let shared = images.iter().fold(first.as_str(), |shared, name| {
@@ -74,7 +77,7 @@ fn in_folder(folder: &Path, scene: &str, own_folder: bool, folders: &Folders, wa
     let mut rasters: Vec<PathBuf> = files
         .filter(|path| has_extension(path, &["tif", "tiff"]) && is_truth(path))
         .collect();
-    // A folder of many scenes' truth is none that this program writes into.
+    // This program writes no folder with the truth of several scenes.
     if own_folder {
         rasters.retain(|path| {
             let own = RasterFile::open(path).ok().as_ref().and_then(own_output);
@@ -83,7 +86,7 @@ fn in_folder(folder: &Path, scene: &str, own_folder: bool, folders: &Folders, wa
             is_other
         });
     }
-    // A folder of many scenes' truth has one raster per scene: the one of this scene counts.
+    // A folder with the truth of several scenes has one raster per scene; the raster with this scene's name is used.
     let pick = |own: &str, ends: &[&str]| -> Option<PathBuf> {
         let named = |name: String| {
             rasters

@@ -1,7 +1,9 @@
-//! Acquisition times of images whose metadata state neither time nor sun: from vendors' file names, then from date tags of TIFFs.
+//! Acquisition times of images whose metadata contain neither time nor sun: from vendors' file names, then from TIFF
+//! date tags.
 //!
-//! Nobody promises what either means, so a time at which the sun did not stand over the scene is left out. A date tag is mostly when a
-//! program wrote the file: tags are used only where they look like those of passes of satellites, all of them.
+//! Neither source is specified, so a time with the sun below 5 degrees at the scene is discarded. A date tag is mostly
+//! the time at which a program wrote the file: tags are used only if all of them are plausible times of satellite
+//! passes.
 
 use super::draft::Draft;
 use super::files::stem;
@@ -12,15 +14,16 @@ use heliosplat_rpc::{GeoPoint, ImagePoint, LocalFrame, Rpc};
 use jiff::{SignedDuration, Timestamp, tz::TimeZone};
 use std::path::Path;
 
-/// Lowest sun of an image worth taking, degrees.
+/// Lowest sun of an image worth acquiring, degrees above the horizon.
 const LOWEST_SUN_DEG: f64 = 5.0;
-/// Mean solar time at which satellites with a fixed local time pass, hours: most at half past ten, some at half past one.
+/// Range of mean solar times of sun-synchronous satellites, hours: most pass at half past ten, some at half past one.
 const PASS_HOURS: [f64; 2] = [9.0, 15.0];
-/// A tag closer to the time of the file itself says when the file was made.
+/// A tag less than this before the modification time of its file is the time of writing the file.
 const FROM_FILE_TIME: SignedDuration = SignedDuration::from_hours(24);
 
-/// Fills in times where neither time nor sun is known at `at`; what is taken, and what is not believed, is a line of `warnings`. Marks
-/// the drafts whose time is that of a tag: the time zone of tags is unknown, so suns computed from them may be hours off.
+/// Fills in times of drafts without time and sun; `at` is the place of the scene. Each accepted or rejected source adds
+/// a line to `warnings`. Drafts with the time of a tag are marked: the time zone of tags is unknown, so their suns may
+/// be off by hours.
 pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String>) {
     forget_shared(drafts, warnings);
     let unknown = |draft: &&mut Draft| draft.acquisition.time.is_none() && draft.acquisition.stated_sun().is_none();
@@ -83,7 +86,8 @@ pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String
     }
 }
 
-/// Takes the time of NITF headers away where all images of a scene have the same second and look from different places: a program wrote it.
+/// Removes the time of NITF headers where all images of a scene have the same second but different viewpoints: it is
+/// the time of writing the files.
 fn forget_shared(drafts: &mut [Draft], warnings: &mut Vec<String>) {
     let of_header = |draft: &Draft| {
         let said = acquisition::gdal_domain(&draft.file.domain("")).time;
@@ -104,7 +108,8 @@ fn forget_shared(drafts: &mut [Draft], warnings: &mut Vec<String>) {
     }
 }
 
-/// Metres east and north that the middle of a camera's ground moves per metre of altitude.
+/// Displacement of the ground point of a camera's central pixel per metre of altitude, metres east and north; `None`
+/// where the camera cannot be localised.
 fn tilt(rpc: &Rpc) -> Option<[f64; 2]> {
     let at = |height_m: f64| {
         let middle = ImagePoint {
@@ -113,14 +118,14 @@ fn tilt(rpc: &Rpc) -> Option<[f64; 2]> {
         };
         rpc.localise(middle, height_m).ok()
     };
-    // Not the model's own half range, which is any number where its scales are odd.
+    // The model's own half range of heights can have any value in damaged RPCs.
     let step_m = 100.0;
     let (low, high) = (at(rpc.height_offset_m)?, at(rpc.height_offset_m + step_m)?);
     let moved = LocalFrame::new(low).enu_from_geo(high);
     Some([moved.x, moved.y].map(|metres| metres / step_m))
 }
 
-/// The date tag of a file, and when the file was written.
+/// Date tag of a file, and modification time of the file.
 struct Tag {
     time: Timestamp,
     written: Option<Timestamp>,
@@ -131,7 +136,7 @@ fn written(path: &Path) -> Option<Timestamp> {
     Timestamp::try_from(written).ok()
 }
 
-/// Why these tags are no acquisition times; `None` where they may be.
+/// Reason against these tags as acquisition times; `None` where they are plausible.
 fn disbelief(tags: &[Tag], at: GeoPoint) -> Option<&'static str> {
     let day = |tag: &Tag| tag.time.as_second().div_euclid(86_400);
     if tags.iter().all(|tag| day(tag) == day(&tags[0])) {

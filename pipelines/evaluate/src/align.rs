@@ -11,11 +11,11 @@ use rayon::prelude::*;
 /// Shift of a prediction: its value at a cell is taken from `(col - columns, row - rows)` and `height_m` is added.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Shift {
-    /// To the right, cells.
+    /// Shift to the right, cells.
     pub columns: f64,
-    /// Downwards, cells.
+    /// Shift downwards, cells.
     pub rows: f64,
-    /// Upwards, metres.
+    /// Shift upwards, metres.
     pub height_m: f64,
 }
 
@@ -27,7 +27,7 @@ const SMALLEST_SIDE: usize = 100;
 const LEAST_OVERLAP: f64 = 0.25;
 
 impl Shift {
-    /// East, north and up, metres, on a grid of `size` columns and rows.
+    /// Shift to the east, north and up, metres, on a grid of `size` columns and rows.
     pub fn metres(&self, transform: &GeoTransform, size: (usize, usize), crs: Option<&Crs>) -> [f64; 3] {
         let metres = transform.metres_per_unit(size, crs);
         let [east, north] = [0, 1]
@@ -49,15 +49,16 @@ pub fn moved(raster: &Raster, columns: f64, rows: f64) -> Raster {
     out
 }
 
-/// The integer shift of largest correlation, and the mean height difference after it.
+/// Integer shift of largest correlation, with the mean height difference after it. Both rasters are altitudes on one
+/// grid.
 pub fn integer(truth: &Raster, prediction: &Raster) -> Shift {
     let (columns, rows) = integer_cells(truth, prediction);
     let (columns, rows) = (columns as f64, rows as f64);
     with_height(truth, &moved(prediction, columns, rows), columns, rows)
 }
 
-/// As [`integer`], with the shift refined below a cell: the peak of the NCC on successively finer steps down to 1/32.
-/// `prediction` gives the prediction moved by columns and rows.
+/// Shift of largest correlation to 1/32 of a cell, with the mean height difference after it: the integer shift, refined
+/// to the peak of the NCC on successively finer steps. `prediction` gives the prediction moved by columns and rows.
 pub fn subpixel(truth: &Raster, prediction: &(impl Fn(f64, f64) -> Raster + Sync)) -> Shift {
     let (columns, rows) = integer_cells(truth, &prediction(0.0, 0.0));
     let (mut best, mut step) = ((columns as f64, rows as f64), 0.5);

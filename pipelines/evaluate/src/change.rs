@@ -1,4 +1,4 @@
-//! Changes found against the true ones: area by area, in segments large enough to be a house.
+//! Maps of changes against the truth, by area and by segments at least as large as a house.
 
 use super::EvaluateError;
 use super::resample::Placement;
@@ -17,24 +17,25 @@ const SEGMENT_M: f32 = 3.0;
 /// 1 m, of at least 30 m² and 3 m on average.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct ChangeScore {
-    /// Share of the found area that changed in truth; absent where nothing was found.
+    /// Share of the found area that changed in truth, 0..1; absent where nothing was found.
     pub precision: Option<f64>,
-    /// Share of the truly changed area that was found; absent where nothing changed.
+    /// Share of the truly changed area that was found, 0..1; absent where nothing changed.
     pub recall: Option<f64>,
-    /// Ground that changed, m².
+    /// Ground that changed in truth, m².
     pub true_m2: f64,
     /// Ground found to have changed, m².
     pub found_m2: f64,
-    /// Segments that changed.
+    /// Number of segments that changed in truth.
     pub true_segments: usize,
-    /// Segments found.
+    /// Number of segments found.
     pub found_segments: usize,
-    /// Share of the correctly found area with the true day, to within a day; absent where either map has no days.
+    /// Share of the correctly found area with the true day, to within a day, 0..1; absent where either map has no days
+    /// or nothing was found correctly.
     pub right_day: Option<f64>,
 }
 
-/// Compares a map of changes with the true one: first bands are differences (metres, last minus first), second ones
-/// days as YYYYMMDD.
+/// Compares a map of changes with the true one. First bands are differences (metres, last minus first). Second bands,
+/// or the files of dates beside the maps, are days as YYYYMMDD.
 ///
 /// # Errors
 /// [`EvaluateError`], naming the file at fault.

@@ -25,7 +25,7 @@ pub struct EdgeErrors {
     /// Distance where the band ends, metres; absent for the last one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub to_m: Option<f64>,
-    /// The errors.
+    /// Statistics of the errors in the band.
     #[serde(flatten)]
     pub errors: HeightErrors,
     /// Mean error with its sign, metres: above zero where the ground is too high.
@@ -34,7 +34,8 @@ pub struct EdgeErrors {
     pub share_of_error: f64,
 }
 
-/// The ground's errors in bands of distance, nearest first; empty bands are left out.
+/// The ground's errors in bands of distance, nearest first; empty bands are left out. Without `classes` there are no
+/// bands. `gsd_m` is the width of a cell, metres.
 pub(super) fn edges(
     errors: &Raster,
     wanted: &[bool],

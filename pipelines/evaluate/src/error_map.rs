@@ -27,7 +27,7 @@ pub fn write(path: &Path, evaluation: &DsmEvaluation) -> Result<(), RasterError>
     write_geotiff(path, &spec, SampleType::F32)
 }
 
-/// Draws errors (prediction minus truth, metres; first band).
+/// Draws errors (prediction minus truth, metres; first band), one pixel for each cell; cells without an error are grey.
 pub fn draw(errors: &Raster) -> RgbImage {
     let (width, height) = (errors.width as u32, errors.height as u32);
     RgbImage::from_fn(width, height, |col, row| {

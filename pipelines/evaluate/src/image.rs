@@ -1,14 +1,15 @@
 //! Rendered images against real ones: PSNR and SSIM over the pixels known in both.
 //!
-//! This is not the SSIM of the training loss (`heliosplat::loss::photometric`). A metric counts only windows inside the
-//! image and without missing pixels. The loss must have a gradient at every pixel: its windows reach beyond the border,
-//! where it takes zeros, and it replaces missing truth by the rendering. It is also in `f32`, whose rounding of
-//! `E[x²] - E[x]²` in bright uniform areas is 1e-7 relative to K2² = 9e-4, an error of the index up to 1e-4.
+//! The SSIM differs from that of the training loss (`heliosplat::loss::photometric`). A metric counts only windows
+//! inside the image and without missing pixels. The loss must have a gradient at every pixel: its windows reach beyond
+//! the border, where it takes zeros, and it replaces missing truth by the rendering. The loss is also in `f32`, whose
+//! rounding of `E[x²] - E[x]²` in bright uniform areas is 1e-7 relative to K2² = 9e-4, an error of the index up to
+//! 1e-4.
 
 use heliosplat::Raster;
 use rayon::prelude::*;
 
-/// `test` of `metrics.json`.
+/// Scores of rendered images: `test` of `metrics.json`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ImageScore {
     /// Peak signal-to-noise ratio, dB, of all bands together, for values with a peak of 1.
@@ -16,7 +17,7 @@ pub struct ImageScore {
     /// PSNR of red, green and blue alone, as in papers; absent if the image has no other bands.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub psnr_rgb: Option<f64>,
-    /// Structural similarity, mean over pixels and bands.
+    /// Structural similarity, mean over pixels and bands, -1..1.
     pub ssim: f64,
 }
 
@@ -35,7 +36,8 @@ pub fn score_image(rendered: &Raster, real: &Raster, rgb: Option<[usize; 3]>) ->
     })
 }
 
-/// Peak signal-to-noise ratio, dB: `-10 log10(MSE / peak²)`, infinite where the error is zero.
+/// Peak signal-to-noise ratio, dB: `-10 log10(MSE / peak²)`, infinite where the error is zero. `peak` is in the unit of
+/// the values.
 pub fn psnr_db(mean_square_error: f64, peak: f64) -> f64 {
     -10.0 * (mean_square_error / (peak * peak)).log10()
 }
@@ -54,7 +56,8 @@ pub fn psnr(rendered: &Raster, real: &Raster) -> Option<f64> {
 }
 
 /// Structural similarity (Wang et al. 2004): Gaussian window of 11 pixels, σ 1.5, K1 0.01, K2 0.03, peak 1. Only
-/// windows that lie inside the image and hold no missing pixel count; the mean is over those and all bands.
+/// windows that lie inside the image and hold no missing pixel count; the mean is over those and all bands, -1..1.
+/// `None` for an image of ten pixels or fewer on a side, and without such a window.
 pub fn ssim(rendered: &Raster, real: &Raster) -> Option<f64> {
     const RADIUS: usize = 5;
     let (width, height) = (real.width, real.height);

@@ -3,7 +3,7 @@
 //! * `raw`: no registration, as a GIS user gets it. Water counts.
 //! * `aligned`: the integer shift of largest normalised cross-correlation, then the mean height difference removed;
 //!   water (class 9) is taken out of the prediction before both, as Sat-NeRF and EOGS do.
-//! * `aligned-water`: the same, but water takes part in the registration and is left out of the metric only.
+//! * `aligned-water`: `aligned`, but water takes part in the registration and is left out of the metric only.
 //! * `subpixel`: `aligned`, with the shift refined below a pixel.
 //!
 //! Predictions are never clipped toward the truth.
@@ -39,7 +39,7 @@ const WATER: f32 = 9.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Protocol {
-    /// Not at all.
+    /// No registration.
     #[default]
     Raw,
     /// Integer shift and mean height; water out of registration and metric.
@@ -51,7 +51,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// Its name, given with every number.
+    /// Name of the protocol, given with every number.
     pub fn name(self) -> &'static str {
         match self {
             Self::Raw => "raw",
@@ -87,16 +87,16 @@ impl EvaluateError {
     }
 }
 
-/// The outcome of a comparison.
+/// Errors of an altitude raster against truth.
 #[derive(Debug, Clone)]
 pub struct DsmEvaluation {
-    /// The numbers.
+    /// Statistics of the errors.
     pub metrics: DsmMetrics,
     /// Prediction minus truth after registration, metres, on the truth's grid; `NaN` where not measured.
     pub errors: Raster,
-    /// The truth.
+    /// Truth raster.
     pub truth: GeoRaster,
-    /// Cells that a complete prediction would have a value in.
+    /// True for cells of the truth's grid in which a complete prediction has a value.
     pub wanted: Vec<bool>,
     /// Metres per pixel of the truth's grid.
     pub gsd_m: f64,
@@ -105,7 +105,8 @@ pub struct DsmEvaluation {
 }
 
 impl DsmEvaluation {
-    /// Adds to the metrics the share of wanted and visible (`seen`) cells that are unknown in the prediction.
+    /// Adds to the metrics the share of wanted and visible (`seen`) cells that are unknown in the prediction, 0..1.
+    /// `seen` has one flag for each cell of the truth's grid.
     pub fn count_seen_unknown(&mut self, seen: &[bool]) {
         let cells = seen.iter().zip(&self.wanted).zip(self.errors.plane(0));
         let (mut all, mut unknown) = (0usize, 0usize);
@@ -117,7 +118,7 @@ impl DsmEvaluation {
     }
 }
 
-/// Compares two altitude rasters on disk; `classes` are LAS codes on the truth's grid.
+/// Compares two altitude rasters on disk; `classes_path` is a file of LAS codes on the truth's grid.
 ///
 /// # Errors
 /// [`EvaluateError`], naming the file at fault.
@@ -131,7 +132,8 @@ pub fn evaluate_dsm(
     evaluate_raster((prediction_path, &prediction), truth_path, classes_path, protocol)
 }
 
-/// The same of a prediction in memory, with the path that names it in errors.
+/// Compares an altitude raster in memory with one on disk. `prediction_path` names the former in errors; `classes_path`
+/// is a file of LAS codes on the truth's grid.
 ///
 /// # Errors
 /// [`EvaluateError`], naming the file at fault.
@@ -223,7 +225,7 @@ fn register(
         .then_some((errors, shift))
 }
 
-/// Cells a complete prediction would have a value in.
+/// True for cells in which a complete prediction has a value.
 fn wanted_cells(truth: &Raster, classes: Option<&Raster>, protocol: Protocol) -> Vec<bool> {
     let is_water = |index: usize| classes.is_some_and(|classes| classes.values[index] == WATER);
     let known = truth.plane(0).iter().enumerate();
@@ -263,7 +265,7 @@ fn check_vertical(
     Ok(())
 }
 
-/// LAS class codes and the names they have in reports.
+/// Name of a LAS class code in reports; `None` for classes that reports do not list.
 pub fn class_name(code: f32) -> Option<&'static str> {
     Some(match code as u32 {
         2 => "ground",

@@ -9,13 +9,13 @@ use std::collections::BTreeMap;
 /// Statistics of height errors, metres.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct HeightErrors {
-    /// Mean absolute error.
+    /// Mean absolute error, metres.
     pub mae_m: f64,
-    /// Root mean square error.
+    /// Root mean square error, metres.
     pub rmse_m: f64,
-    /// Median absolute error.
+    /// Median absolute error, metres.
     pub median_m: f64,
-    /// Normalised median absolute deviation from the median: 1.4826 · median(|e − median(e)|).
+    /// Normalised median absolute deviation from the median, metres: 1.4826 · median(|e − median(e)|).
     pub nmad_m: f64,
     /// Share of measured cells within 1 m, 0..1.
     pub within_1m: f64,
@@ -26,28 +26,28 @@ pub struct HeightErrors {
     pub completeness: f64,
 }
 
-/// `dsm` of `metrics.json`.
+/// Errors of a surface model: `dsm` of `metrics.json`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DsmMetrics {
-    /// Over all cells that count in the protocol.
+    /// Statistics over all cells that count in the protocol.
     #[serde(flatten)]
     pub all: HeightErrors,
-    /// East, north, up applied to the prediction before it was measured, metres.
+    /// Shift to the east, north and up applied to the prediction before it was measured, metres.
     pub shift_m: [f64; 3],
-    /// The protocol's name.
+    /// Name of the protocol.
     pub protocol: String,
-    /// The same statistics by class, where classes are known.
+    /// Statistics by the name of the class, where classes are known.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub by_class: BTreeMap<String, HeightErrors>,
-    /// Ground, roads, bridges and buildings together, where classes are known: surfaces that do not change with the
-    /// season.
+    /// Statistics of ground, roads, bridges and buildings together, where classes are known: surfaces that do not
+    /// change with the season.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground_and_buildings: Option<HeightErrors>,
     /// Share of the cells visible in at least two images (on the true surface) whose altitude is unknown in the
     /// prediction, 0..1; absent where the visibility is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seen_unknown: Option<f64>,
-    /// Mean distance of the altitudes from the interval of the true ones around them, metres ([`outside_truth`]).
+    /// Mean distance of the altitudes from the interval of the true ones around them, metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outside_truth_m: Option<f64>,
     /// Errors of the ground by its distance to the nearest wall, where classes are known.
@@ -58,11 +58,12 @@ pub struct DsmMetrics {
     pub uncertainty: Option<Uncertainty>,
 }
 
-/// Classes that do not grow, flow or drive.
+/// LAS classes of surfaces that do not change with the season: ground, buildings, roads, bridges.
 const GROUND_AND_BUILDINGS: [f32; 4] = [2.0, 6.0, 11.0, 17.0];
 
 impl DsmMetrics {
-    /// From errors (prediction minus truth, `NaN` where not measured), the cells that should have one, and classes.
+    /// Metrics of errors (prediction minus truth, metres, `NaN` where not measured). `wanted` marks the cells that
+    /// should have one; `shift_m` is the shift of the registration.
     pub(super) fn new(
         errors: &Raster,
         wanted: &[bool],
@@ -119,8 +120,8 @@ impl DsmMetrics {
 }
 
 /// Mean distance, metres, of the altitudes from the interval between the lowest and the highest true altitude of 3 × 3
-/// cells; `None` where none is measured. Rasters of lidar interpolate between roof and ground, so beside a wall one cell
-/// of truth is as good as its neighbours (S-EO, arXiv 2504.06920, publishes both bounds for this reason).
+/// cells; `None` where none is measured. Rasters of lidar interpolate between roof and ground, so a cell of truth
+/// beside a wall is no better than its neighbours (S-EO, arXiv 2504.06920, publishes both bounds for this reason).
 pub(super) fn outside_truth(errors: &Raster, wanted: &[bool], truth: &Raster) -> Option<f64> {
     let lowest = |sign: f32| {
         let known = truth

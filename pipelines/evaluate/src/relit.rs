@@ -1,8 +1,8 @@
 //! Relit images against truth under suns that no image had.
 //!
-//! * **One gain**: a gain and an offset per band, by least squares over all suns together. Only this one measures
-//!   whether a scene gets darker as its sun sinks, which a gain per sun hides.
-//! * **Own gain**: the same for each sun by itself, as after a manual exposure correction.
+//! * **One gain**: a gain and an offset per band, by least squares over all suns together. Only this score measures the
+//!   darkening of a scene as its sun sinks, which a gain per sun hides.
+//! * **Own gain**: a gain and an offset per band for each sun by itself, as after a manual exposure correction.
 //! * **Brightness**: mean of the predicted values after the one gain, relative to that of the truth.
 //! * **Shadows**: balanced error rate and intersection over union of the traced masks.
 //!
@@ -20,13 +20,13 @@ const PEAK_QUANTILE: f64 = 0.995;
 /// Rasters compared under one sun, all on one grid.
 #[derive(Debug, Clone, Copy)]
 pub struct RelitPair<'a> {
-    /// Our image, any unit that is linear in radiance.
+    /// Predicted image, in any unit that is linear in radiance.
     pub ours: &'a Raster,
-    /// The true image, with as many bands; linear too.
+    /// True image with as many bands, linear in radiance.
     pub truth: &'a Raster,
-    /// The predicted mask: 1 in shadow, 0 in the sun; values between are rounded.
+    /// Predicted shadow mask: 1 in shadow, 0 in the sun; values between are rounded.
     pub our_shadow: &'a Raster,
-    /// The true mask.
+    /// True shadow mask: 1 in shadow, 0 in the sun.
     pub true_shadow: &'a Raster,
 }
 
@@ -37,30 +37,31 @@ pub struct RelitScore {
     pub psnr_one_gain_db: f64,
     /// PSNR of all bands after this sun's own gain and offset per band, dB.
     pub psnr_own_gain_db: f64,
-    /// Mean of ours after the one gain over mean of the truth, all bands together.
+    /// Mean of the prediction after the one gain over the mean of the truth, all bands together.
     pub brightness_ratio: f64,
     /// Balanced error rate of the shadow mask, 0 to 1.
     pub ber: f64,
     /// Intersection over union of the shadows, 0 to 1.
     pub iou: f64,
-    /// Share of the truth's pixels that are known to us, 0 to 1.
+    /// Share of the truth's values that the prediction has too, 0 to 1.
     pub completeness: f64,
 }
 
-/// Scores of all suns, and how ours becomes truth.
+/// Scores of all suns, with the gains and offsets from prediction to truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RelitScores {
-    /// In the order of the pairs.
+    /// Score of each sun, in the order of the pairs.
     pub suns: Vec<RelitScore>,
-    /// Their mean.
+    /// Mean of the scores over all suns.
     pub mean: RelitScore,
-    /// The one gain and offset of each band: truth is about `gain * ours + offset`.
+    /// The one gain and offset of each band: truth is about `gain * prediction + offset`.
     pub gains: Vec<[f64; 2]>,
     /// The peak of PSNR, in the truth's unit.
     pub peak: f64,
 }
 
-/// Scores relit images. `None` where under some sun no pixel is known in both.
+/// Scores relit images, one pair for each sun. `None` without pairs, or where under some sun a band, or the pair of
+/// shadow masks, has no pixel known in both.
 pub fn score_relit(pairs: &[RelitPair]) -> Option<RelitScores> {
     let bands = pairs.first()?.truth.bands;
     let peak = pairs.iter().filter_map(|pair| peak_of(pair.truth)).reduce(f64::max)?;
@@ -102,7 +103,7 @@ fn score_one(pair: &RelitPair, gains: &[[f64; 2]], peak: f64) -> Option<RelitSco
     })
 }
 
-/// Values of one band that are known in both, ours first.
+/// Values of one band that are known in both, the predicted one first.
 fn known<'a>(pair: &'a RelitPair, band: usize) -> impl Iterator<Item = (f64, f64)> + 'a {
     let values = pair.ours.plane(band).iter().zip(pair.truth.plane(band));
     let both = values.filter(|(ours, truth)| ours.is_finite() && truth.is_finite());
@@ -223,7 +224,7 @@ mod tests {
 
     #[test]
     fn a_scene_as_bright_under_every_sun_is_perfect_with_own_gains_and_wrong_with_one() {
-        // Truth is half as bright under the second sun, and ours is not.
+        // Truth is half as bright under the second sun, and the prediction is not.
         let (high, low) = (
             Sun::new(&[1.0, 2.0, 3.0], &[2.0, 4.0, 6.0]),
             Sun::new(&[1.0, 2.0, 3.0], &[1.0, 2.0, 3.0]),

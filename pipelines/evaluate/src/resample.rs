@@ -50,13 +50,14 @@ impl<'a> Placement<'a> {
     }
 
     /// First band of the source on the target's grid, bilinear, `NaN` where nothing is known, after moving the source
-    /// by `columns` to the right and `rows` down (target cells). Between different coordinate systems the move is that
-    /// of the grid's centre: over a kilometre, 50 cells elsewhere differ by some thousandths of a cell.
+    /// by `columns` to the right and `rows` down (target cells). Between different coordinate systems the move is
+    /// computed at the grid's centre; within a kilometre of it, a move of 50 cells is wrong by some thousandths of a
+    /// cell.
     pub fn moved(&self, columns: f64, rows: f64) -> Raster {
         self.moved_band(0, columns, rows)
     }
 
-    /// Another band, moved as by [`Self::moved`].
+    /// Band `band` of the source, bilinear, moved as the first band is by [`Self::moved`].
     pub fn moved_band(&self, band: usize, columns: f64, rows: f64) -> Raster {
         let [per_col, per_row] = self.per_cell;
         let offset = [0, 1].map(|axis| columns * per_col[axis] + rows * per_row[axis]);

@@ -2,25 +2,26 @@
 
 use heliosplat::Raster;
 
-/// `shadow` of `metrics.json`.
+/// Scores of shadow masks: `shadow` of `metrics.json`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ShadowScore {
-    /// Balanced error rate: mean of the share of shadow called lit and the share of lit called shadow, 0..1.
+    /// Balanced error rate: mean of the share of shadow predicted as lit and the share of lit pixels predicted as
+    /// shadow, 0..1.
     pub ber: f64,
-    /// Share of pixels called right, 0..1.
+    /// Share of pixels predicted correctly, 0..1.
     pub accuracy: f64,
 }
 
 /// Counts of one or more images; images are scored together by adding them up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ShadowCounts {
-    /// Shadow called shadow.
+    /// Pixels of shadow predicted as shadow.
     pub shadow_right: u64,
-    /// Shadow called lit.
+    /// Pixels of shadow predicted as lit.
     pub shadow_wrong: u64,
-    /// Lit called lit.
+    /// Lit pixels predicted as lit.
     pub lit_right: u64,
-    /// Lit called shadow.
+    /// Lit pixels predicted as shadow.
     pub lit_wrong: u64,
 }
 

@@ -7,7 +7,11 @@ use heliosplat_rpc::GeoPoint;
 use std::path::Path;
 
 /// Reads a truth DSM. Without a geotransform its place is read from the text of the same name (`X_DSM.txt`: easting and
-/// northing of the lower-left corner, size in pixels, metres per pixel), in the UTM zone of the prediction.
+/// northing of the lower-left corner, size in pixels, metres per pixel), in the UTM zone of the prediction. A missing
+/// coordinate system is added to `warnings`.
+///
+/// # Errors
+/// [`EvaluateError`] when the file cannot be read, or no place is stated.
 pub(super) fn read(
     path: &Path,
     prediction: &GeoRaster,
@@ -34,7 +38,10 @@ pub(super) fn read(
     })
 }
 
-/// Reads classes on the truth's grid.
+/// Reads LAS classes on the truth's grid.
+///
+/// # Errors
+/// [`EvaluateError`] when the file cannot be read, or has other numbers of columns and rows than the truth.
 pub(super) fn read_classes(path: &Path, truth: &Raster) -> Result<Raster, EvaluateError> {
     let file = RasterFile::open(path)?;
     let classes = file.read(file.whole(), &[0])?;
@@ -74,7 +81,8 @@ fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform, Evaluate
     })
 }
 
-/// UTM zone of a text that has none: the prediction's, or where that is in another system, the zone of its position.
+/// UTM zone for a text file, which states none: that of the prediction, or of the prediction's middle where it is in
+/// another coordinate system.
 fn utm_zone(prediction: &GeoRaster) -> Option<Crs> {
     let crs = prediction.crs.as_ref()?;
     if crs.name().contains("UTM zone") {

@@ -1,4 +1,4 @@
-//! Calibration of a surface model's standard deviations: how they compare with its true errors.
+//! Calibration of a surface model's standard deviations against its true errors.
 
 use heliosplat::Raster;
 use heliosplat_grid::statistics::median;
@@ -9,15 +9,16 @@ const GROUPS: usize = 10;
 /// Fewest cells for statistics.
 const FEWEST: usize = 100;
 
-/// `dsm.uncertainty` of `metrics.json`.
+/// Calibration of standard deviations: `dsm.uncertainty` of `metrics.json`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Uncertainty {
-    /// Spearman's rank correlation of standard deviation and absolute error, -1..1: whether uncertain cells are the
-    /// wrong ones.
+    /// Spearman's rank correlation of standard deviation and absolute error, -1..1: 1 where the least certain cells
+    /// have the largest errors.
     pub spearman: f64,
     /// Share of cells whose error is within one standard deviation, 0..1: 0.68 for normal errors with these deviations.
     pub within_one: f64,
-    /// Share of errors within two standard deviations; 0.95 for normal errors.
+    /// Share of cells whose error is within two standard deviations, 0..1: 0.95 for normal errors with these
+    /// deviations.
     pub within_two: f64,
     /// Ten groups of equally many cells, from the most certain to the least.
     pub groups: Vec<Group>,
@@ -26,9 +27,9 @@ pub struct Uncertainty {
 /// Cells of about the same standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Group {
-    /// Root of their mean variance, metres: the error that the surface states.
+    /// Root of the mean stated variance of the cells, metres.
     pub expected_m: f64,
-    /// Root of their mean square error, metres.
+    /// Root mean square error of the cells, metres.
     pub rmse_m: f64,
     /// Mean absolute error, metres.
     pub mae_m: f64,
@@ -37,7 +38,8 @@ pub struct Group {
 }
 
 impl Uncertainty {
-    /// From errors and standard deviations of the same cells, metres, `NaN` where unknown; `None` for too few of them.
+    /// Compares errors and standard deviations of the same cells, metres, `NaN` where unknown. `None` for fewer than
+    /// 100 cells with both.
     pub fn of(errors: &Raster, deviations: &Raster) -> Option<Self> {
         let cells = errors.plane(0).iter().zip(deviations.plane(0));
         let mut cells: Vec<(f64, f64)> = cells
@@ -61,7 +63,7 @@ impl Uncertainty {
         })
     }
 
-    /// The groups as a table for people.
+    /// Correlation, shares and groups as lines of text.
     pub fn table(&self) -> String {
         let mut text = format!(
             "uncertainty    rank correlation with the error {:.3}; within one deviation {:.1} %, within two {:.1} %\n",
@@ -94,7 +96,7 @@ fn group(cells: &[(f64, f64)]) -> Group {
     }
 }
 
-/// Ranks from zero; equal values share the mean of theirs.
+/// Ranks from zero; equal values share their mean rank.
 fn ranks(values: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|&a, &b| values[a].total_cmp(&values[b]).then(a.cmp(&b)));

@@ -15,11 +15,11 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{bytes} bytes do not fit into one GLB file, which holds 4 GiB; write tiles instead (--tiles DIR)")]
 pub struct TooLarge {
-    /// The length it would have.
+    /// Length that the file or one of its parts would have, bytes.
     pub bytes: u64,
 }
 
-/// A file as it grows.
+/// GLB file under construction: its buffer, buffer views and accessors.
 #[derive(Debug, Default)]
 pub struct Builder {
     binary: Vec<u8>,
@@ -28,12 +28,12 @@ pub struct Builder {
 }
 
 impl Builder {
-    /// Adds bytes that no accessor reads, such as a picture; returns the number of their buffer view.
+    /// Adds bytes that no accessor reads, such as a picture; returns the index of their buffer view.
     pub fn bytes(&mut self, bytes: &[u8]) -> usize {
         self.view(bytes.iter().copied(), None)
     }
 
-    /// Adds an accessor of vectors of `N` floats (a scalar where `N` is 1); returns its number.
+    /// Adds an accessor of vectors of `N` floats, 1 to 4 (a scalar where `N` is 1); returns its index.
     pub fn floats<const N: usize>(&mut self, values: impl ExactSizeIterator<Item = [f32; N]>) -> usize {
         let count = values.len();
         let view = self.view(values.flatten().flat_map(f32::to_le_bytes), Some(ARRAY_BUFFER));
@@ -41,7 +41,7 @@ impl Builder {
         self.accessor(json!({"bufferView": view, "componentType": FLOAT, "count": count, "type": kind}))
     }
 
-    /// Adds an accessor of positions, with the bounds that glTF requires; returns its number.
+    /// Adds an accessor of positions, with the bounds that glTF requires; returns its index.
     pub fn places(&mut self, places: &[[f32; 3]]) -> usize {
         let accessor = self.floats(places.iter().copied());
         let (low, high) = bounds(places);
@@ -50,7 +50,8 @@ impl Builder {
         accessor
     }
 
-    /// Adds an accessor of four bytes each, which stand for 0 to 1; returns its number.
+    /// Adds an accessor of colours, four bytes each (red, green, blue, opacity) that stand for 0 to 1; returns its
+    /// index.
     pub fn colours(&mut self, colours: impl ExactSizeIterator<Item = [u8; 4]>) -> usize {
         let count = colours.len();
         let view = self.view(colours.flatten(), Some(ARRAY_BUFFER));
@@ -59,7 +60,7 @@ impl Builder {
         }))
     }
 
-    /// Adds an accessor of the corners of triangles; returns its number.
+    /// Adds an accessor of triangles, three indices of corners each; returns its index.
     pub fn triangles(&mut self, triangles: &[[u32; 3]]) -> usize {
         let bytes = triangles.iter().flatten().flat_map(|i| i.to_le_bytes());
         let view = self.view(bytes, Some(ELEMENT_ARRAY_BUFFER));
@@ -67,27 +68,28 @@ impl Builder {
         self.accessor(json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"}))
     }
 
-    /// Adds an accessor of `width` floats without values of its own, for values compressed elsewhere.
+    /// Adds an accessor of `count` vectors of `width` floats whose values are compressed elsewhere; returns its index.
     pub fn placeholder(&mut self, width: usize, count: usize) -> usize {
         let kind = kind(width);
         self.accessor(json!({"componentType": FLOAT, "count": count, "type": kind}))
     }
 
-    /// Accessor of `count` positions between two corners, filled later.
+    /// Adds an accessor of `count` positions between the corners `low` and `high`, compressed elsewhere; returns its
+    /// index.
     pub fn placeholder_places(&mut self, count: usize, low: [f32; 3], high: [f32; 3]) -> usize {
         self.accessor(json!({"componentType": FLOAT, "count": count, "type": "VEC3", "min": low, "max": high}))
     }
 
-    /// Accessor of `count` colours of four bytes, filled later.
+    /// Adds an accessor of `count` colours of four bytes, compressed elsewhere; returns its index.
     pub fn placeholder_colours(&mut self, count: usize) -> usize {
         self.accessor(json!({"componentType": UNSIGNED_BYTE, "normalized": true, "count": count, "type": "VEC4"}))
     }
 
-    /// The file of `document`, an object of everything outside the buffer: meshes, nodes, materials and so on. Null
-    /// entries are left out.
+    /// Bytes of the finished file. `document` is an object of everything outside the buffer: meshes, nodes, materials
+    /// and so on; its null entries are left out.
     ///
     /// # Errors
-    /// [`TooLarge`].
+    /// [`TooLarge`] for a file of more than 4 GiB.
     pub fn finish(mut self, mut document: Value) -> Result<Vec<u8>, TooLarge> {
         self.pad();
         if let Some(document) = document.as_object_mut() {
@@ -137,7 +139,7 @@ impl Builder {
     }
 }
 
-/// The lowest and highest coordinates of places.
+/// Lowest and highest coordinate of positions along each axis; infinite without positions.
 pub fn bounds(places: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
     let start = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     places.iter().fold(start, |(low, high), place| {

@@ -1,8 +1,8 @@
-//! The bytes of files that other programs read: splats and meshes as PLY, glTF, SPZ and 3D Tiles.
+//! Files that other programs read, as bytes: splats and meshes as PLY, glTF, SPZ and 3D Tiles.
 //!
 //! [`splats`] has the common type of all writers of splats. [`glb`] frames glTF, [`ply`] frames tables of floats,
-//! [`spz`] packs splats, [`merge`] makes coarser ones of fine ones, and [`tiles`] makes a tree of tiles. Nothing here
-//! opens a file or depends on a model.
+//! [`spz`] packs splats, [`merge`] merges splats into coarser ones, and [`tiles`] cuts them into a tree of tiles.
+//! Nothing here opens a file or depends on a model.
 
 pub mod glb;
 pub mod merge;

@@ -1,4 +1,4 @@
-//! Coarser splats from finer ones: those whose centres share a cell become one with their moments.
+//! Coarser splats from finer ones: splats whose centres share a cell become one splat with their moments.
 //!
 //! A splat's weight is its opacity times its area, the product of its two larger standard deviations, since surfaces
 //! consist of flat splats. The mean, the covariance and the colour of the merged splat are those of the mixture. Its
@@ -10,13 +10,13 @@ use crate::splats::Splat;
 use glam::{Mat3, Quat, Vec3};
 use rayon::prelude::*;
 
-/// No axis of a merged splat is thinner than this, metres.
+/// Least standard deviation of a merged splat along an axis, metres.
 const THINNEST_M: f32 = 1e-3;
 /// Limit of the growth of a merged splat's standard deviation, cells: at this size the discs of a lattice overlap, and
 /// several layers in one cell grow no further.
 const WIDEST_CELLS: f32 = 2.0 / 3.0;
 
-/// One splat for each cell of `cell_m` metres that has any, in the order of the cells.
+/// Merged splats: one for each occupied cube of `cell_m` metres, in the order of the cubes.
 pub fn merged(splats: &[Splat], cell_m: f32) -> Vec<Splat> {
     let key = |splat: &Splat| (splat.position / cell_m).floor().as_ivec3().to_array();
     let mut order: Vec<([i32; 3], u32)> = splats.iter().map(key).zip(0..).collect();
@@ -34,7 +34,7 @@ fn area(scale: Vec3) -> f32 {
     scale.element_product() / scale.min_element()
 }
 
-/// The splat that has the moments of some; where they overlap it grows to standard deviations of `widest_m`.
+/// Splat with the moments of `parts`; where they overlap it grows, to standard deviations of `widest_m` metres at most.
 fn mixture<'a>(parts: impl ExactSizeIterator<Item = &'a Splat> + Clone, widest_m: f32) -> Splat {
     let only = parts.clone().next().filter(|_| parts.len() == 1);
     if let Some(only) = only {
@@ -77,7 +77,7 @@ fn grown(scale: Vec3, times: f32, widest_m: f32) -> Vec3 {
     Vec3::new(grow(scale.x), grow(scale.y), grow(scale.z))
 }
 
-/// Standard deviations along the own axes of a covariance, and the turn to these.
+/// Standard deviations along the principal axes of a covariance, and the rotation to these axes.
 fn axes(covariance: Mat3) -> (Vec3, Quat) {
     let matrix = nalgebra::Matrix3::from_column_slice(&covariance.to_cols_array());
     let nalgebra::SymmetricEigen {

@@ -1,5 +1,5 @@
 //! Triangle meshes as glTF: with colours of the corners, or with a picture spread over them. Materials are rough and
-//! take light.
+//! lit by the viewer.
 
 use crate::glb::{Builder, TooLarge};
 use serde_json::{Value, json};
@@ -7,36 +7,36 @@ use serde_json::{Value, json};
 /// Surface colour of a mesh before lighting.
 #[derive(Debug, Clone, Copy)]
 pub enum Look<'a> {
-    /// Linear light of each corner, red, green and blue.
+    /// Colour of each corner, red, green and blue in linear light.
     Colours(&'a [[f32; 3]]),
-    /// A picture.
+    /// Picture spread over the mesh.
     Picture {
-        /// The bytes of its file.
+        /// Bytes of the picture's file.
         file: &'a [u8],
-        /// `image/png` or `image/jpeg`.
+        /// Media type of the file: `image/png` or `image/jpeg`.
         media_type: &'a str,
-        /// Place in the picture of each corner: 0 to 1 from left to right, and from top to bottom.
+        /// Position of each corner in the picture: 0 to 1 from left to right, and from top to bottom.
         places: &'a [[f32; 2]],
     },
 }
 
-/// A mesh in the frame of the file.
+/// Triangle mesh in the frame of the glTF file.
 #[derive(Debug, Clone, Copy)]
 pub struct Mesh<'a> {
-    /// Places of the corners.
+    /// Positions of the corners, metres.
     pub positions: &'a [[f32; 3]],
     /// Unit normals of the corners.
     pub normals: &'a [[f32; 3]],
-    /// Corners of the triangles, anticlockwise as seen from outside.
+    /// Indices of the corners of each triangle, anticlockwise as seen from outside.
     pub triangles: &'a [[u32; 3]],
-    /// Its colours.
+    /// Surface colour.
     pub look: Look<'a>,
 }
 
-/// The file of a mesh with `extras` (an object, or null).
+/// Bytes of the GLB file of a mesh, with `extras` (an object, or null) as metadata.
 ///
 /// # Errors
-/// [`TooLarge`].
+/// [`TooLarge`] for a file of more than 4 GiB.
 pub fn glb(mesh: &Mesh, extras: Value) -> Result<Vec<u8>, TooLarge> {
     let mut file = Builder::default();
     let mut attributes = json!({

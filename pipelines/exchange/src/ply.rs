@@ -8,8 +8,8 @@ const HEADER_LIMIT: usize = 64 * 1024;
 const FORMAT: &str = "ply\nformat binary_little_endian 1.0\n";
 const END: &[u8] = b"end_header\n";
 
-/// The header of a file of `count` rows with these comments and columns; the rows follow it, 32-bit floats,
-/// little-endian. Comments are single lines: line breaks in them are left out.
+/// Header of a file of `count` rows with these comments and columns; the rows follow it as little-endian 32-bit floats.
+/// Comments are single lines: line breaks in them become spaces.
 pub fn header<'a>(comments: &[String], count: usize, columns: impl Iterator<Item = &'a str>) -> Vec<u8> {
     let mut text = format!("{FORMAT}comment heliosplat\n");
     for comment in comments {
@@ -25,7 +25,7 @@ pub fn header<'a>(comments: &[String], count: usize, columns: impl Iterator<Item
     bytes
 }
 
-/// A file as it was read.
+/// Columns and rows of a file.
 pub struct Rows<'a> {
     /// Number of rows.
     pub count: usize,
@@ -35,10 +35,10 @@ pub struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Reads the header and checks that the rows are complete.
+    /// Reads the header of a file and checks that its rows are complete.
     ///
     /// # Errors
-    /// A sentence with the fault of the file.
+    /// A sentence on the fault of the file.
     pub fn open(bytes: &'a [u8]) -> Result<Self, String> {
         let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
         let end = head
@@ -70,7 +70,7 @@ impl<'a> Rows<'a> {
         Ok(Self { count, columns, values })
     }
 
-    /// The number at a row and a column, both of which must exist.
+    /// Value at a row and a column, both of which must exist.
     pub fn value(&self, row: usize, column: usize) -> f32 {
         let at = (row * self.columns.len() + column) * size_of::<f32>();
         let mut value = [0; size_of::<f32>()];

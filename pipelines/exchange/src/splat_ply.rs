@@ -7,19 +7,19 @@ use heliosplat::gaussians::{FEATURES, GroupSpec, LOG_SCALE, OPACITY, POSITION, R
 
 use std::collections::BTreeMap;
 
-/// Name of the groups of spherical harmonics, by degree.
+/// Prefix of the names of the groups of spherical harmonics; the degree follows it.
 const HARMONICS: &str = "sh_";
-/// In place of a group: a colour that is computed for viewers, and in no group.
+/// Group of columns whose colour is computed for viewers alone and stored in no group.
 const SHOWN: usize = usize::MAX;
 
-/// Place of a column of the file in the table.
+/// Column of the file, and its position in the table.
 struct Column {
     name: String,
     group: usize,
     component: usize,
 }
 
-/// The columns of a table with these groups; with colours for viewers alone where they are `shown`.
+/// Columns of a table with these groups; where `shown` is set, with colours for viewers alone.
 fn columns(specs: &[GroupSpec], shown: bool) -> Vec<Column> {
     let mut all = Vec::new();
     let mut add = |name: String, group: usize, component: usize| all.push(Column { name, group, component });
@@ -60,12 +60,14 @@ fn columns(specs: &[GroupSpec], shown: bool) -> Vec<Column> {
     all
 }
 
-/// The file of a table whose harmonics, if any, are its first groups of features; comments are in its header.
+/// Bytes of the PLY file of a table, with `comments` in the header. Harmonics, if any, are the first groups of
+/// features.
 pub fn encode(gaussians: &Table, comments: &[String]) -> Vec<u8> {
     write(gaussians, comments, None)
 }
 
-/// The same of a model without harmonics, whose viewers see the coefficients `shown` of each Gaussian.
+/// Bytes of the PLY file of a table without harmonics: `shown` gives the colour coefficients (red, green, blue) that
+/// viewers show for each Gaussian.
 pub fn encode_shown(gaussians: &Table, shown: &dyn Fn(usize) -> [f32; 3]) -> Vec<u8> {
     write(gaussians, &[], Some(shown))
 }
@@ -89,10 +91,10 @@ fn write(gaussians: &Table, comments: &[String], shown: Option<&dyn Fn(usize) ->
     out
 }
 
-/// The table of a file with these groups of features. Columns are found by name, in any order; others are ignored.
+/// Table of a file with these groups of features. Columns are found by name, in any order; others are ignored.
 ///
 /// # Errors
-/// A sentence with the fault of the file.
+/// A sentence on the fault of the file: its framing, a missing column, or values that are not finite.
 pub fn decode(bytes: &[u8], features: Vec<GroupSpec>) -> Result<Table, String> {
     let rows = Rows::open(bytes)?;
     let places: BTreeMap<&str, usize> = rows.columns.iter().copied().zip(0..).collect();

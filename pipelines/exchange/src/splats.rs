@@ -12,25 +12,25 @@ use heliosplat::shade::display;
 use serde_json::{Value, json};
 use std::f32::consts::FRAC_PI_2;
 
-/// Name of the extension of glTF.
+/// Name of the glTF extension for splats.
 pub const GAUSSIAN_SPLATTING: &str = "KHR_gaussian_splatting";
-/// First function of the spherical harmonics: viewers show `0.5 + C0 · coefficient`.
+/// Spherical harmonic of degree 0, 1 / (2 √π): viewers show `0.5 + C0 · coefficient`.
 pub const C0: f32 = 0.282_094_8;
-/// Opacities of 1 have no logit; this one is shown as 1 everywhere.
+/// Largest opacity in files: an opacity of 1 has no logit, and this one is shown as 1 everywhere.
 const MOST_OPAQUE: f32 = 0.9999;
 
-/// One splat.
+/// Splat: an ellipsoidal Gaussian with an opacity and a colour.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Splat {
-    /// Its centre, metres.
+    /// Centre, metres.
     pub position: Vec3,
     /// Standard deviations along its own axes, metres.
     pub scale: Vec3,
-    /// Turns its own axes into those of the frame; of length one.
+    /// Rotation from the splat's own axes to those of the frame; a unit quaternion.
     pub rotation: Quat,
-    /// Opacity in its middle, 0 to 1.
+    /// Opacity at the centre, 0 to 1.
     pub opacity: f32,
-    /// Display values of red, green and blue, 0 to 1.
+    /// Colour: display values of red, green and blue, 0 to 1.
     pub colour: [f32; 3],
 }
 
@@ -46,19 +46,19 @@ impl Splat {
         }
     }
 
-    /// Its covariance, metres².
+    /// Covariance of the splat, metres².
     pub fn covariance(&self) -> Mat3 {
         let turned = Mat3::from_quat(self.rotation) * Mat3::from_diagonal(self.scale);
         turned * turned.transpose()
     }
 
-    /// Coefficients of its colour.
+    /// Colour coefficients of the spherical harmonic of degree 0: red, green and blue.
     pub(crate) fn coefficients(&self) -> [f32; 3] {
         self.colour.map(|value| (value - 0.5) / C0)
     }
 }
 
-/// Splats as a table that [`splat_ply`](crate::splat_ply) writes.
+/// Table of splats, as [`splat_ply`](crate::splat_ply) writes it.
 pub fn table(splats: &[Splat]) -> Table {
     let mut groups = core_groups();
     groups.push(GroupSpec::new("sh_0", 3));
@@ -77,11 +77,11 @@ pub fn table(splats: &[Splat]) -> Table {
     table
 }
 
-/// The file of splats without compression, in the frame of glTF, with `extras` (an object, or null). Viewers without
-/// the extension show points.
+/// Bytes of the GLB file of splats without compression, turned into the frame of glTF, with `extras` (an object, or
+/// null). Viewers without the extension show points.
 ///
 /// # Errors
-/// [`TooLarge`].
+/// [`TooLarge`] for a file of more than 4 GiB.
 pub fn glb(splats: &[Splat], extras: Value) -> Result<Vec<u8>, TooLarge> {
     let splats: Vec<Splat> = splats.iter().map(|splat| splat.in_gltf()).collect();
     let places: Vec<[f32; 3]> = splats.iter().map(|splat| splat.position.to_array()).collect();
@@ -103,7 +103,7 @@ pub fn glb(splats: &[Splat], extras: Value) -> Result<Vec<u8>, TooLarge> {
     }))
 }
 
-/// The extension's attributes, the same for all splats.
+/// Properties of the extension, equal in all files of splats.
 pub(crate) fn extension() -> Value {
     json!({
         "kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective",
@@ -111,13 +111,14 @@ pub(crate) fn extension() -> Value {
     })
 }
 
-/// Linear light and opacity, as the colours of points are in glTF.
+/// Linear light and opacity of a splat, as colours of points are stored in glTF.
 fn point_colour(splat: &Splat) -> [u8; 4] {
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
     let [red, green, blue] = splat.colour.map(|value| byte(display::decode(value)));
     [red, green, blue, byte(splat.opacity)]
 }
 
+/// Three splats for tests.
 #[cfg(test)]
 pub(crate) fn sample() -> Vec<Splat> {
     let splat = |position, turn: Quat, colour| Splat {

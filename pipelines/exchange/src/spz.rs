@@ -6,7 +6,7 @@
 //! otherwise rotate models by 180 degrees.
 //!
 //! Steps: 1/4096 m within 2 km of the origin and twice as much for each doubling of that, 6.4 % of a scale, 1/255 of
-//! opacity, 1/136 of colour, 0.2 degrees of a turn. Positions beyond 2000 km are clamped.
+//! opacity, 1/136 of colour, 0.2 degrees of a rotation. Positions beyond 2000 km are clamped.
 
 use crate::glb::{Builder, TooLarge, bounds};
 use crate::splats::{GAUSSIAN_SPLATTING, Splat, extension};
@@ -15,21 +15,21 @@ use serde_json::json;
 use std::f32::consts::FRAC_1_SQRT_2;
 use std::io::Write;
 
-/// Name of the extension of glTF.
+/// Name of the glTF extension for packed splats.
 pub const COMPRESSION: &str = "KHR_gaussian_splatting_compression_spz_2";
 const MAGIC: u32 = 0x5053_474e;
 const VERSION: u32 = 3;
-/// Splats were trained with opacities that shrink with their footprint.
+/// Flag of splats that were trained with opacities that shrink with their footprint.
 const ANTIALIASED: u8 = 1;
-/// Fractional bits of places near the origin, and the largest number of 24 bits.
+/// Fractional bits of positions near the origin, and the largest signed number of 24 bits.
 const FRACTIONAL_BITS: u32 = 12;
 const PLACE_MAX: f64 = 8_388_607.0;
-/// Share of a colour's coefficient in a byte.
+/// Share of a byte's range for each unit of a colour coefficient.
 const COLOUR_SCALE: f32 = 0.15;
 /// Largest number of nine bits.
 const TURN_MAX: f32 = 511.0;
 
-/// Splats, already in the frame of glTF, as one packed stream.
+/// Packed stream of splats that are already in the frame of glTF, after gzip.
 pub fn encode(splats: &[Splat]) -> Vec<u8> {
     let reach = splats.iter().map(|s| f64::from(s.position.abs().max_element()));
     let reach = reach.fold(0.0, f64::max);
@@ -67,8 +67,8 @@ fn byte(value: f32) -> u8 {
     value.round().clamp(0.0, 255.0) as u8
 }
 
-/// The three smallest components of a unit quaternion (x, y, z, w), each a sign and nine bits of its share of
-/// `sqrt(1/2)`, behind the number of the largest one, which is made positive.
+/// Packed unit quaternion (x, y, z, w): the index of the largest component, which is made positive, then the other
+/// three, each a sign and nine bits of its share of `sqrt(1/2)`.
 fn turn(rotation: [f32; 4]) -> u32 {
     let largest = (1..4).fold(0, |best, i| {
         if rotation[i].abs() > rotation[best].abs() {
@@ -97,10 +97,10 @@ fn gzip(raw: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap_or_default()
 }
 
-/// The file of splats of the local frame, packed, as a tile of a globe.
+/// Bytes of the GLB file of packed splats, turned from the local frame into that of glTF: the content of a 3D tile.
 ///
 /// # Errors
-/// [`TooLarge`].
+/// [`TooLarge`] for a file of more than 4 GiB.
 pub fn glb(splats: &[Splat]) -> Result<Vec<u8>, TooLarge> {
     let splats: Vec<Splat> = splats.iter().map(|splat| splat.in_gltf()).collect();
     let places: Vec<[f32; 3]> = splats.iter().map(|splat| splat.position.to_array()).collect();

@@ -1,4 +1,4 @@
-//! 3D Tiles 1.1 (OGC 22-025r4): the tree of tiles, `tileset.json`, and how splats are cut into it.
+//! 3D Tiles 1.1 (OGC 22-025r4): the tree of tiles, `tileset.json`, and the division of splats into tiles.
 //!
 //! Volumes are boxes in the frame of the tiles: metres east, north and up of the site. The root's transform brings them
 //! to Earth-centred, Earth-fixed metres. A tile is replaced by its children, which show the same ground with finer
@@ -12,46 +12,46 @@ use crate::spz;
 use glam::Vec3;
 use serde_json::{Value, json};
 
-/// Most splats of a tile; larger ones are cut into quarters.
+/// Most splats of a tile; parts with more are cut into quarters.
 const TILE_MOST: usize = 1 << 16;
 /// Levels of merged splats above the ones of the model, at least.
 const LEVELS_LEAST: usize = 2;
-/// Splats of the coarsest tile, about: a site is seen until they are too small to be drawn.
+/// Approximate number of splats of the coarsest tile: a site is visible until they are too small to be drawn.
 const ROOT_SPLATS: usize = 256;
-/// Depth at which nothing is cut any more: more splats than a tile may have, all in one place.
+/// Depth below which tiles are no longer cut, as where more splats than a tile may have share one position.
 const DEPTH_MOST: usize = 16;
-/// Standard deviations that a splat reaches.
+/// Extent of a splat on either side of its centre, standard deviations.
 const REACH: f32 = 3.0;
 /// Metres of geometric error for each metre of a cell of a mesh. Viewers replace a tile whose error is 16 pixels wide
 /// on the screen, so that a cell is at most two pixels wide.
 pub const ERROR_OF_CELL: f64 = 8.0;
-/// Cells per side of a tile of splats: a cell is then 1.6 to 3.2 pixels wide. Merged splats have standard deviations of a third of a
-/// cell at least, and CesiumJS omits splats whose standard deviations are both below 0.35 pixels, so that all are
-/// drawn.
+/// Metres of geometric error for each metre of a cell of merged splats: a cell is then 1.6 to 3.2 pixels wide. Merged
+/// splats have standard deviations of a third of a cell at least, and CesiumJS omits splats whose standard deviations
+/// are both below 0.35 pixels, so that all are drawn.
 const ERROR_OF_SPLATS: f64 = 5.0;
 
-/// A tile and those below it.
+/// Tile of a tileset, with the tiles below it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tile {
-    /// Name of its file, relative to `tileset.json`.
+    /// Name of the tile's file, relative to `tileset.json`.
     pub file: String,
-    /// Lowest corner of its contents and of its children's, metres.
+    /// Lowest corner of the contents of the tile and of its children, metres east, north and up.
     pub low: [f64; 3],
-    /// Highest corner.
+    /// Highest corner of these contents, metres east, north and up.
     pub high: [f64; 3],
-    /// Error in metres of showing it and not its children.
+    /// Geometric error of the tile where it is shown without its children, metres.
     pub error_m: f64,
     /// Finer tiles of the same ground.
     pub children: Vec<Tile>,
 }
 
 impl Tile {
-    /// The number of tiles.
+    /// Number of tiles, this one included.
     pub fn count(&self) -> usize {
         1 + self.children.iter().map(Self::count).sum::<usize>()
     }
 
-    /// The number of levels.
+    /// Number of levels, this one included.
     pub fn depth(&self) -> usize {
         1 + self.children.iter().map(Self::depth).max().unwrap_or(0)
     }
@@ -79,17 +79,17 @@ impl Tile {
 /// Generator of a tileset, its `asset.generator`.
 pub const GENERATOR: &str = concat!("heliosplat ", env!("CARGO_PKG_VERSION"));
 
-/// Contents of the tiles.
+/// Kind of the tiles' contents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Contents {
     /// Packed splats: CesiumJS reads glTF as splats only where `tileset.json` declares it.
     Splats,
-    /// Meshes.
+    /// Triangle meshes.
     Meshes,
 }
 
-/// `tileset.json`: the tree, the transform of its frame to Earth-centred, Earth-fixed metres (column after column), and
-/// `extras`.
+/// Content of `tileset.json`: the tree below `root`, the transform of its frame to Earth-centred, Earth-fixed metres
+/// (column after column), and `extras`, metadata of the asset.
 pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, extras: Value) -> Value {
     let mut top = root.value();
     top["transform"] = json!(transform);
@@ -106,13 +106,13 @@ pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, extras: Va
     tileset
 }
 
-/// Receiver of each file of a tileset with its name.
+/// Receiver of the files of a tileset: the name and the bytes of each.
 pub type WriteFile<'w, E> = dyn FnMut(&str, Vec<u8>) -> Result<(), E> + 'w;
 
-/// Cuts splats into tiles, coarse ones above fine ones, and hands over each file with its name.
+/// Cuts splats into a tree of tiles, coarse ones above fine ones, and passes each file to `write`; returns the root.
 ///
 /// # Errors
-/// Errors of `write`, and [`TooLarge`].
+/// Errors of `write`, and [`TooLarge`] for a tile of more than 4 GiB.
 pub fn of_splats<E: From<TooLarge>>(splats: Vec<Splat>, write: &mut WriteFile<E>) -> Result<Tile, E> {
     let (low, high) = extent(&splats);
     let ground = (high - low).truncate().element_product().max(f32::MIN_POSITIVE);
@@ -122,7 +122,7 @@ pub fn of_splats<E: From<TooLarge>>(splats: Vec<Splat>, write: &mut WriteFile<E>
 }
 
 struct Tree<'w, E> {
-    /// Side of the ground that a splat of the model has to itself, metres.
+    /// Side of the square of ground for each splat of the model, metres.
     spacing_m: f32,
     write: &'w mut WriteFile<'w, E>,
 }
@@ -165,7 +165,7 @@ impl<E: From<TooLarge>> Tree<'_, E> {
                 tile.children.push(child);
             }
         }
-        // A cell may have been widened below: no child errs more than its parent.
+        // Cells below may have been widened: no child has a larger error than its parent.
         let below = tile.children.iter().map(|child| child.error_m).fold(0.0, f64::max);
         tile.error_m = tile.error_m.max(below);
         Ok(tile)
@@ -189,7 +189,7 @@ fn levels_above(count: usize, most: usize) -> usize {
     }
 }
 
-/// Splats as one part, or where they are too many as quarters: south-west, south-east, north-west, north-east.
+/// Splats as one part, or as quarters where they are too many: south-west, south-east, north-west, north-east.
 fn parts(splats: Vec<Splat>) -> Vec<Vec<Splat>> {
     if splats.len() <= TILE_MOST {
         return vec![splats];

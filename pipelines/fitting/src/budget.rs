@@ -14,7 +14,7 @@ pub fn steps_of_products(images: usize) -> f64 {
     STEPS_PER_PRODUCT * (images + 2) as f64
 }
 
-/// The time a run may take in all.
+/// Time that a run may take in all, products included.
 #[derive(Debug, Clone, Copy)]
 pub struct Budget {
     begun: Instant,
@@ -23,7 +23,7 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// `limit` from `begun` on; the work after training costs as much as `steps_after` of its steps.
+    /// Budget of `limit` from `begun` on. The work after training costs as much time as `steps_after` training steps.
     pub fn new(begun: Instant, limit: Duration, steps_after: f64) -> Self {
         Self {
             begun,
@@ -32,7 +32,7 @@ impl Budget {
         }
     }
 
-    /// Total number of steps that fit, when `done` are done and one takes `step_s` seconds.
+    /// Total number of steps that fit into the budget, when `done` steps are done and one takes `step_s` seconds.
     pub fn steps(&self, done: usize, step_s: f64) -> usize {
         done + self.steps_left(self.begun.elapsed().as_secs_f64(), step_s)
     }
@@ -49,7 +49,7 @@ impl Budget {
     }
 }
 
-/// Time of a step, over the last epochs: steps that trace light take longer than others.
+/// Mean time of a step over the last four epochs: steps that trace light take longer than others.
 #[derive(Debug)]
 pub struct Pace {
     last: VecDeque<f64>,
@@ -65,7 +65,7 @@ impl Pace {
         }
     }
 
-    /// Adds a step.
+    /// Adds the duration of a step.
     pub fn add(&mut self, step: Duration) {
         if self.last.len() == self.window {
             self.last.pop_front();
@@ -73,7 +73,7 @@ impl Pace {
         self.last.push_back(step.as_secs_f64());
     }
 
-    /// Seconds per step; zero before the first.
+    /// Mean seconds per step; zero before the first step.
     pub fn step_s(&self) -> f64 {
         self.last.iter().sum::<f64>() / self.last.len().max(1) as f64
     }

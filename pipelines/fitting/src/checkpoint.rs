@@ -30,7 +30,7 @@ const PLACE: [&str; 2] = ["checkpoint", "training.bin"];
 /// Reason why a checkpoint cannot be used or written.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// A file that is none, or not whole.
+    /// The file is no checkpoint, or is damaged.
     #[error("{}: {reason}; give --overwrite to begin anew", path.display())]
     Damaged {
         /// The file.
@@ -43,10 +43,10 @@ pub enum CheckpointError {
     Other {
         /// The file.
         path: PathBuf,
-        /// The first difference.
+        /// First line in which the identities differ, in words.
         difference: String,
     },
-    /// It cannot be written.
+    /// The checkpoint cannot be written.
     #[error(transparent)]
     Write(#[from] RasterError),
 }
@@ -61,9 +61,9 @@ impl CheckpointError {
 /// The progress of a training so far, kept in its checkpoint.
 #[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
 pub struct TrainingLog {
-    /// Points of its curve.
+    /// Points of the curve so far.
     pub curve: Vec<CurvePoint>,
-    /// The smoothed difference to the images.
+    /// Smoothed mean absolute difference to the images; `None` before the first step.
     pub smoothed: Option<f64>,
     /// Seconds since the run began, pauses not counted.
     pub elapsed_s: f64,
@@ -87,7 +87,7 @@ pub struct LoadedCheckpoint<P> {
     pub trainer: TrainerState<'static>,
 }
 
-/// Path of a run's checkpoint.
+/// Path of the checkpoint in the folder of a run.
 pub fn path_in(run: &Path) -> PathBuf {
     run.join(PLACE[0]).join(PLACE[1])
 }
@@ -104,10 +104,11 @@ pub fn digest(identity: &str) -> String {
     hex::encode(Sha256::digest(identity.as_bytes()))
 }
 
-/// The checkpoint of a run, if there is one; `identity` describes the training that may continue from it, line by line.
+/// Reads the checkpoint of a run; `None` where there is none. `identity` describes the training that may continue from
+/// it, line by line.
 ///
 /// # Errors
-/// When it is damaged, or of another training.
+/// [`CheckpointError`] when the checkpoint is damaged, or of another training.
 pub fn read<P: Clone + DeserializeOwned + 'static>(
     run: &Path,
     identity: &str,
@@ -183,15 +184,15 @@ pub struct CheckpointWriter<'a, P> {
     begun: Instant,
     last: Instant,
     took: Duration,
-    /// Results of preprocessing.
+    /// Results of preprocessing, which every checkpoint contains.
     pub preprocessed: Option<P>,
     /// The progress so far.
     pub log: TrainingLog,
 }
 
 impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
-    /// Checkpoints into `run` after `every`, of the training that `identity` describes; `begun` is when the run began,
-    /// pauses not counted.
+    /// Writer of checkpoints into the folder `run`, one for each interval `every`, of the training that `identity`
+    /// describes. `begun` is the start of the run, pauses not counted.
     pub fn new(run: &'a Path, identity: &'a str, every: Duration, begun: Instant) -> Self {
         Self {
             run,
@@ -205,7 +206,7 @@ impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
         }
     }
 
-    /// The fault of a state that does not fit although its identity does.
+    /// Error of a checkpoint whose state does not fit the trainer although its identity fits.
     pub fn does_not_fit(&self, error: &StateError) -> CheckpointError {
         CheckpointError::Damaged {
             path: path_in(self.run),
@@ -213,7 +214,7 @@ impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
         }
     }
 
-    /// Writes a checkpoint where one is due; that it cannot be written is no reason to stop.
+    /// Writes a checkpoint if one is due. A failure is logged, and the training continues.
     pub fn step_done(&mut self, trainer: &Trainer) {
         if self.last.elapsed() < self.every.max(SPARING * self.took) && self.every > Duration::ZERO {
             return;
@@ -226,7 +227,7 @@ impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
     /// Writes a checkpoint.
     ///
     /// # Errors
-    /// [`CheckpointError::Write`].
+    /// [`CheckpointError::Write`] when the file cannot be written.
     pub fn write(&mut self, trainer: &Trainer) -> Result<(), CheckpointError> {
         let begun = Instant::now();
         self.log.elapsed_s = self.begun.elapsed().as_secs_f64();

@@ -5,13 +5,13 @@ use std::collections::BTreeMap;
 /// The losses of one step.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CurvePoint {
-    /// The step.
+    /// Number of the step.
     pub step: usize,
-    /// Mean absolute difference to the images, smoothed.
+    /// Mean absolute difference to the images, exponentially smoothed over the steps.
     pub l1: f64,
-    /// Named losses, unweighted.
+    /// Losses of the step by name, without their weights.
     pub losses: BTreeMap<String, f64>,
-    /// Mean absolute difference on tiles that are not learnt from.
+    /// Mean absolute difference to the images on held-out tiles; `None` without such tiles.
     pub held_out_l1: Option<f64>,
     /// Accuracy of the model at that step, where it was measured.
     pub accuracy: Option<Accuracy>,
@@ -20,8 +20,8 @@ pub struct CurvePoint {
 /// Accuracy of a model during training.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Accuracy {
-    /// Mean height error against truth, protocol `raw`, metres.
+    /// Mean absolute height error against truth, protocol `raw`, metres; `None` without truth.
     pub height_mae_m: Option<f64>,
-    /// PSNR of some images held out, decibels.
+    /// Mean PSNR of some held-out images, decibels; `None` where it is not measured.
     pub psnr_db: Option<f64>,
 }

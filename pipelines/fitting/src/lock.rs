@@ -11,22 +11,24 @@ const FILE: &str = ".lock";
 /// The right to write into a folder; released when dropped, or when the process ends in any way.
 #[derive(Debug)]
 pub struct Lock {
-    /// None on a file system without locks: the user must then keep processes apart.
+    /// `None` on a file system without locks: the user must then keep processes apart.
     held: Option<(PathBuf, File)>,
 }
 
 impl Lock {
-    /// The right to write into `folder`, which must exist; `None` where another process has it.
+    /// Locks `folder`, which must exist; `None` where another process holds the lock. On a file system without locks
+    /// the folder is not locked.
     ///
     /// # Errors
-    /// When nothing can be written there.
+    /// When the lock file cannot be opened for writing.
     pub fn take(folder: &Path) -> std::result::Result<Option<Self>, RasterError> {
         let path = folder.join(FILE);
         loop {
             let file = File::options().create(true).append(true).open(&path);
             let file = file.map_err(|error| RasterError::from_io(&path, &error))?;
             match file.try_lock() {
-                // Its holder may have removed it after it was opened here: then another process may lock a new one.
+                // The holder may have removed the file after it was opened here: then another process may lock a new
+                // one.
                 Ok(()) if is_at(&file, &path).unwrap_or(false) => {
                     let held = Some((path, file));
                     return Ok(Some(Self { held }));
@@ -42,7 +44,7 @@ impl Lock {
 impl Drop for Lock {
     fn drop(&mut self) {
         if let Some((path, _locked)) = &self.held {
-            // One that stays is locked by the next.
+            // A file that stays is no obstacle: the next process locks it.
             let _ = std::fs::remove_file(path);
         }
     }

@@ -24,13 +24,13 @@ pub fn build() -> &'static str {
     })
 }
 
-/// Takes the build that another process computed of the same executable: an executable has more bytes than most units
-/// of a batch read.
+/// Sets the build to the one that another process computed for the same executable. This avoids hashing the executable,
+/// which has more bytes than most units of a batch read.
 pub fn recall_build(build: String) {
     BUILD.get_or_init(|| build);
 }
 
-/// The executable; on Linux the one that runs, also after another took its place on the disk.
+/// Path of the executable. On Linux it leads to the running program even after its file was replaced.
 pub fn executable() -> PathBuf {
     let running = Path::new("/proc/self/exe");
     match running.exists() {

@@ -1,4 +1,4 @@
-//! Request of a training, and its outcome, whatever the model.
+//! Request and outcome of a training of any model.
 
 use crate::lock::Lock;
 use crate::settings::Preset;
@@ -14,13 +14,13 @@ pub const CHECKPOINT_EVERY: Duration = Duration::from_secs(60);
 /// where it was interrupted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Earlier {
-    /// A finished run and another training are refused.
+    /// A finished run, and a checkpoint of another training, are refused.
     Keep,
-    /// The same training, finished, is kept; another one is refused.
+    /// A finished run of the same training is kept; another training is refused.
     Resume,
-    /// The same training, finished, is kept; another finished one is replaced.
+    /// A finished run of the same training is kept; a finished run of another training is replaced.
     Update,
-    /// All are replaced.
+    /// Any earlier training is replaced.
     Overwrite,
 }
 
@@ -29,7 +29,7 @@ pub enum Earlier {
 pub struct TrainRequest {
     /// Folder of the run, made where it is absent.
     pub out: PathBuf,
-    /// Preset that the configuration started from.
+    /// Preset from which the configuration started.
     pub preset: Preset,
     /// Start of the program, from which the time budget counts.
     pub begun: Instant,
@@ -62,21 +62,21 @@ impl TrainRequest {
 pub enum TrainOutcome<M> {
     /// The folder contains this very training, finished earlier.
     FinishedBefore {
-        /// Its `metrics.json`.
+        /// Content of its `metrics.json`.
         metrics: Value,
     },
-    /// It was trained now; the model is written and measured.
+    /// The model was trained now, written and measured.
     Trained(Box<TrainedRun<M>>),
 }
 
 /// A run that was trained now.
 pub struct TrainedRun<M> {
-    /// The model.
+    /// The trained model.
     pub model: M,
-    /// Its `metrics.json`.
+    /// Content of its `metrics.json`.
     pub metrics: Value,
     /// End of the training: a run whose training failed is written too.
     pub ending: Ending,
-    /// The right to write into its folder, until its pages are written.
+    /// Lock of the folder, held until the report's pages are written.
     pub lock: Lock,
 }

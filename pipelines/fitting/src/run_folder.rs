@@ -15,13 +15,13 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// The Gaussians of a run.
+/// File of the Gaussians of a run.
 const GAUSSIANS: &str = "model.ply";
-/// Shared parameters, the frame and the cameras. A folder with this file is a run.
+/// File of shared parameters, frame and cameras. A folder with this file is a run.
 pub const MODEL: &str = "model.json";
-/// Description of the training: model, inputs and settings.
+/// File that describes the training: model, inputs and settings.
 pub const RUN: &str = "run.toml";
-/// Metrics. A run with this file is finished.
+/// File of metrics. A run with this file is finished.
 const METRICS: &str = "metrics.json";
 /// Files of a run besides its model and `run.toml`; a run need not have all of them.
 const OF_A_RUN: [&str; 39] = [
@@ -65,13 +65,13 @@ const OF_A_RUN: [&str; 39] = [
     "start_views.tif",
     "sun.html",
 ];
-/// Folders of its pictures.
+/// Folders of a run's pictures.
 const PICTURES: [&str; 2] = ["relit", "views"];
 
 /// Reason why a run cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// There is no such run.
+    /// The folder holds no finished run.
     #[error("{0}: not a finished run (it has no model.json); train one with `heliosplat train SCENE --out {0}`")]
     NotARun(PathBuf),
     /// An invalid file of the run.
@@ -93,7 +93,7 @@ pub enum RunError {
     /// A file that cannot be written.
     #[error(transparent)]
     Write(#[from] RasterError),
-    /// A checkpoint.
+    /// A checkpoint cannot be used or written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// A folder that holds a finished run.
@@ -124,19 +124,20 @@ impl RunError {
     }
 }
 
-/// One input of a run.
+/// An input file of a run with its hash.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Input {
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// Its SHA-256, hexadecimal; of a file on a virtual file system, that of the pixels that were read.
+    /// SHA-256 of the file, hexadecimal. For a file on a virtual file system it is that of the pixels that were read.
     pub sha256: String,
 }
 
-/// The text of a file of a run.
+/// Reads the text of a file of a run.
 ///
 /// # Errors
-/// [`RunError::Io`], and [`RunError::Damaged`] where it is no file of a run: not UTF-8, too large, no regular file.
+/// [`RunError::Io`] when the file cannot be read; [`RunError::Damaged`] when it is not UTF-8, too large, or no regular
+/// file.
 pub fn read(path: &Path) -> Result<String, RunError> {
     bounded::read_text(path).map_err(|reason| unreadable(path, reason))
 }
@@ -152,11 +153,12 @@ fn unreadable(path: &Path, reason: std::io::Error) -> RunError {
     }
 }
 
-/// The bytes of the `model.ply` of a run, whose SHA-256 `model.json` states (models of earlier versions state none),
-/// and its path.
+/// Reads the path and the bytes of the `model.ply` of a run. `sha256` is the sum that `model.json` states; models of
+/// earlier versions state none.
 ///
 /// # Errors
-/// As [`read`], and [`RunError::Damaged`] where the sum is another.
+/// [`RunError::Io`] when the file cannot be read; [`RunError::Damaged`] when it is too large, no regular file, or has
+/// another SHA-256.
 pub fn read_gaussians(folder: &Path, sha256: Option<&str>) -> Result<(PathBuf, Vec<u8>), RunError> {
     let path = folder.join(GAUSSIANS);
     let bytes = bounded::read_bytes(&path, bounded::MODEL_MAX).map_err(|reason| unreadable(&path, reason))?;
@@ -169,7 +171,7 @@ pub fn read_gaussians(folder: &Path, sha256: Option<&str>) -> Result<(PathBuf, V
 
 /// Writes a model into `folder`, which must exist: `model.ply`, the `texts` of a run by their names, and last
 /// `model.json`, which makes the folder a run. Without texts only the model of the run is replaced. `describe` makes
-/// its text, given the SHA-256 of `model.ply`. Until then the folder holds no run.
+/// the text of `model.json` from the SHA-256 of `model.ply`. The folder holds no run until `model.json` is written.
 ///
 /// # Errors
 /// When a file cannot be removed or written.
@@ -234,10 +236,10 @@ pub fn hash(path: &Path) -> Result<String, RunError> {
     Ok(hex::encode(hasher.finalize()))
 }
 
-/// Writes `metrics.json`.
+/// Writes `metrics.json` into the folder of a run.
 ///
 /// # Errors
-/// When it cannot be written.
+/// When the file cannot be written.
 pub fn save_metrics(folder: &Path, metrics: &serde_json::Value) -> Result<(), RunError> {
     let text = format!("{metrics:#}\n");
     Ok(write_atomically(&folder.join(METRICS), text.as_bytes())?)
@@ -266,7 +268,7 @@ fn status_bytes(field: &str) -> u64 {
 /// Makes a folder and those above it.
 ///
 /// # Errors
-/// [`RunError::Folder`].
+/// [`RunError::Folder`] when a folder cannot be made.
 pub fn create_folder(path: &Path) -> Result<(), RunError> {
     std::fs::create_dir_all(path).map_err(|reason| RunError::Folder {
         path: path.to_owned(),
@@ -274,14 +276,14 @@ pub fn create_folder(path: &Path) -> Result<(), RunError> {
     })
 }
 
-/// The training to begin.
+/// Request of a training with its identity.
 #[derive(Debug, Clone, Copy)]
 pub struct RunRequest<'a> {
-    /// The user's request.
+    /// Request by the user: folder, limits, and treatment of an earlier training.
     pub request: &'a TrainRequest,
     /// Identity of the training, line by line: equal lines mean the same training.
     pub identity: &'a str,
-    /// Cost of the work after training, in steps.
+    /// Cost of the work after training, in training steps.
     pub steps_after: f64,
 }
 
@@ -289,11 +291,11 @@ pub struct RunRequest<'a> {
 pub struct RunFolder<'a, P> {
     /// Start of the training, pauses not counted.
     pub begun: Instant,
-    /// The time left to it.
+    /// Time budget of the training, if the user set one.
     pub budget: Option<Budget>,
-    /// Writes its checkpoints.
+    /// Writer of the training's checkpoints.
     pub checkpoints: CheckpointWriter<'a, P>,
-    /// The checkpoint to continue from.
+    /// Checkpoint to continue from, if there is one.
     pub checkpoint: Option<LoadedCheckpoint<P>>,
     /// Data for the end of the training.
     pub closing: Closing<'a>,
@@ -310,15 +312,15 @@ pub struct Closing<'a> {
 
 /// State of a folder at the request of a training.
 pub enum FolderState<'a, P> {
-    /// This very training, finished: its metrics.
+    /// The folder holds this very training, finished, with these metrics.
     Finished(Value),
-    /// An empty folder, or one with a checkpoint.
+    /// The training can begin, or continue from a checkpoint.
     Ready(Box<RunFolder<'a, P>>),
 }
 
 impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> FolderState<'a, P> {
-    /// Looks into the folder of a run, and makes it where it is absent, so that a folder that cannot be written fails
-    /// before the training.
+    /// Locks the folder of a run and reads its state. The folder is made where it is absent, so that one that cannot be
+    /// written fails before the training.
     ///
     /// # Errors
     /// When another process trains there, the folder holds a training that `earlier` keeps, the checkpoint is damaged
@@ -375,13 +377,13 @@ impl Closing<'_> {
         if self.new {
             drop(self.lock);
             let _ = std::fs::remove_file(self.out.join(heliosplat_session::log::FILE));
-            // Only removes it while it is empty; that it stays is no further fault.
+            // The call removes only an empty folder; a folder that stays is no further fault.
             let _ = std::fs::remove_dir(self.out);
         }
     }
 
     /// Writes `metrics.json`, which makes the run finished, and removes its checkpoint. The folder stays locked while
-    /// the result is kept.
+    /// the returned lock is held.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -398,7 +400,7 @@ impl Closing<'_> {
 /// Refuses a folder that holds a finished run.
 ///
 /// # Errors
-/// [`RunError::Exists`].
+/// [`RunError::Exists`] when the folder has a `model.json`.
 pub fn must_be_free(out: &Path) -> Result<(), RunError> {
     match out.join(MODEL).exists() {
         true => Err(RunError::Exists(out.to_owned())),
@@ -410,10 +412,10 @@ fn metrics_of(run: &Path) -> Option<Value> {
     serde_json::from_str(&bounded::read_text(&run.join(METRICS)).ok()?).ok()
 }
 
-/// The inputs listed in the `run.toml` of a run, whatever its pipeline.
+/// Reads the inputs listed in the `run.toml` of a run of any pipeline.
 ///
 /// # Errors
-/// When it is missing or damaged.
+/// When the file is missing or damaged.
 pub fn inputs(run: &Path) -> Result<Vec<Input>, RunError> {
     #[derive(serde::Deserialize)]
     struct Inputs {

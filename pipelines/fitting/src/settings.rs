@@ -11,7 +11,7 @@ pub enum ConfigError {
         /// Error of the parser.
         reason: String,
     },
-    /// A value that means nothing.
+    /// A value that is not allowed.
     #[error("{key} is {value}, expected {expected}")]
     Value {
         /// The key.
@@ -21,7 +21,7 @@ pub enum ConfigError {
         /// The values allowed.
         expected: &'static str,
     },
-    /// A `--set` that does not fit.
+    /// A `--set` with an unknown key or a value of another kind.
     #[error("--set {key}={value}: {reason}; the keys are those of run.toml, such as train.iterations=2000")]
     Set {
         /// The key.
@@ -34,10 +34,11 @@ pub enum ConfigError {
 }
 
 impl ConfigError {
-    /// Refuses the first of some values, with keys and values allowed, that does not fit.
+    /// Checks values. Each one comes with its key, a flag that is true if it is allowed, and a description of the
+    /// values allowed.
     ///
     /// # Errors
-    /// [`Self::Value`].
+    /// [`Self::Value`] for the first value that is not allowed.
     pub fn check(values: &[(&str, f64, bool, &'static str)]) -> Result<(), Self> {
         match values.iter().find(|(_, _, fits, _)| !fits) {
             Some(&(key, value, _, expected)) => Err(Self::Value {
@@ -50,12 +51,12 @@ impl ConfigError {
     }
 }
 
-/// Trade-off between time and quality of a training; the preset is a file of settings of that name.
+/// Trade-off between time and quality of a training: the name of a file of settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {
-    /// Seconds: whether the images fit together at all.
+    /// A check of the images for consistency, in seconds.
     Preview,
-    /// A first look.
+    /// A first result in short time.
     Fast,
     /// The default.
     #[default]
@@ -70,7 +71,7 @@ impl Preset {
     /// All presets, the most accurate first.
     pub const ALL: [Self; 5] = [Self::Best, Self::Accurate, Self::Balanced, Self::Fast, Self::Preview];
 
-    /// Its name, as on the command line.
+    /// Name of the preset on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Preview => "preview",
@@ -95,10 +96,12 @@ impl std::str::FromStr for Preset {
     }
 }
 
-/// The defaults of a configuration, then the text of a preset, then the `--set` pairs in their order.
+/// Resolves a configuration: its defaults, then the text of a preset, then the `--set` pairs in their order. Later
+/// values replace earlier ones.
 ///
 /// # Errors
-/// [`ConfigError::Set`] for a key that does not exist or a value of another kind.
+/// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Preset`] for an
+/// invalid preset.
 pub fn resolve<T: serde::de::DeserializeOwned>(
     preset: &str,
     text: &str,

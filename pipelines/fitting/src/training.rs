@@ -20,7 +20,7 @@ pub enum TrainingError {
     /// A checkpoint is at fault, or cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The user stopped it; a checkpoint keeps its state.
+    /// The user stopped the training; a checkpoint keeps its state.
     #[error("stopped; the training is kept in {}/checkpoint, the same command continues", .0.display())]
     Interrupted(PathBuf),
     /// Training could not continue; the run has the last good state.
@@ -33,7 +33,7 @@ pub enum TrainingError {
     },
 }
 
-/// Measures a model in training without changing it.
+/// Measures a model in training without changing it; `None` where nothing can be measured.
 pub type Probe<'a> = dyn Fn(&Parameters) -> Option<Accuracy> + 'a;
 
 /// The step after which the time left is first reported, and the steps between two reports.
@@ -41,25 +41,26 @@ const FIRST_REPORT: usize = 20;
 const REPORT_EVERY: usize = 100;
 /// Steps between two points of the curve.
 const CURVE_EVERY: usize = 25;
-/// Approximate number of its points with an accuracy.
+/// Approximate number of points of the curve with an accuracy.
 const PROBES: usize = 12;
 
-/// End of a fit with a model.
+/// Reason why a training ended, with a usable model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Ending {
     /// Converged, or out of steps or time.
     Done,
-    /// The user stopped it; its state is kept in a checkpoint.
+    /// The user stopped the training; its state is kept in a checkpoint.
     Interrupted,
     /// Training could not continue; the model is the last good state.
     GaveUp(TrainError),
 }
 
 impl Ending {
-    /// The error of a training into `out` that ended before its time.
+    /// Reports a training into the folder `out` that was interrupted or gave up.
     ///
     /// # Errors
-    /// [`TrainingError::Interrupted`] or [`TrainingError::GaveUp`].
+    /// [`TrainingError::Interrupted`] when the user stopped the training, [`TrainingError::GaveUp`] when it could not
+    /// continue.
     pub fn check(&self, out: &Path) -> Result<(), TrainingError> {
         let out = out.to_owned();
         match self {
@@ -75,21 +76,22 @@ impl Ending {
 
 /// The result of a training.
 pub struct Trained {
-    /// The best parameters.
+    /// Parameters of the best step.
     pub parameters: Parameters,
     /// Number of steps taken, and the best one.
     pub early_stop: EarlyStop,
     /// Steps rejected because of a number that is not finite.
     pub rejected: usize,
-    /// The points of the curve.
+    /// Points of the curve, in the order of the steps.
     pub curve: Vec<CurvePoint>,
     /// The training views; held-out pixels have weight zero.
     pub views: Vec<View>,
-    /// End of the training.
+    /// Reason why the training ended.
     pub ending: Ending,
 }
 
-/// Trains to the end, or until the user or the time stops it.
+/// Trains for `steps` steps, or until the model has converged, the user stops the training, or the time is spent.
+/// `probe` measures the model at about twelve points of the curve.
 ///
 /// # Errors
 /// [`TrainingError::Train`] when the trainer fails in its first steps, [`TrainingError::Checkpoint`] when the state of

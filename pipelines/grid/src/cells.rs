@@ -1,4 +1,4 @@
-//! The ground grid: cells in rows from north to south, columns from west to east.
+//! The ground grid: rows of cells from north to south, columns from west to east; and minimum filters over its cells.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -6,28 +6,28 @@ use rayon::prelude::*;
 /// Cells that one thread works on at a time, at least.
 const CELLS_PER_JOB: usize = 1024;
 
-/// The indices of `cells` cells, on all threads.
+/// Indices of `cells` cells, as a parallel iterator.
 fn in_parallel(cells: usize) -> impl IndexedParallelIterator<Item = usize> {
     (0..cells).into_par_iter().with_min_len(CELLS_PER_JOB)
 }
 
-/// Cells of a ground grid; row 0 is the northern one, `west_m` and `north_m` are the grid's outer edges.
+/// Grid of square ground cells. Row 0 is the northernmost; cell `(col, row)` has the index `row * width + col`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
-    /// Western edge, metres.
+    /// Outer western edge, metres.
     pub west_m: f32,
-    /// Northern edge, metres.
+    /// Outer northern edge, metres.
     pub north_m: f32,
     /// Side of a cell, metres.
     pub cell_m: f32,
 }
 
 impl Grid {
-    /// Cells of a metre whose north-western corner is the origin.
+    /// Grid of 1 m cells whose north-western corner is the origin.
     pub fn plain(width: usize, height: usize) -> Self {
         Self {
             width,
@@ -44,12 +44,13 @@ impl Grid {
         self.width * self.height
     }
 
-    /// All cells, on all threads.
+    /// Indices of all cells, as a parallel iterator.
     pub fn cells(&self) -> impl IndexedParallelIterator<Item = usize> {
         in_parallel(self.len())
     }
 
-    /// Cells of a square window, the centre among them.
+    /// Indices of the cells within `radius` columns and rows of a cell, the cell itself included; the window ends at
+    /// the edge of the grid.
     pub fn around(&self, cell: usize, radius: usize) -> impl Iterator<Item = usize> + use<> {
         let (col, row, width) = (cell % self.width, cell / self.width, self.width);
         let columns = col.saturating_sub(radius)..(col + radius + 1).min(width);
@@ -57,7 +58,8 @@ impl Grid {
         rows.flat_map(move |r| columns.clone().map(move |c| r * width + c))
     }
 
-    /// The centre of a cell at an altitude, metres; cells outside the grid are allowed.
+    /// Centre of the cell at a column and a row, with an altitude as third coordinate, metres; cells outside the grid
+    /// are allowed.
     pub fn point(&self, col: isize, row: isize, altitude_m: f32) -> Vec3 {
         Vec3::new(
             self.west_m + (col as f32 + 0.5) * self.cell_m,
@@ -66,7 +68,7 @@ impl Grid {
         )
     }
 
-    /// The same ground in cells `factor` times as wide; the last column and row may reach beyond the edge.
+    /// Grid over the same ground with cells `factor` times as wide; its last column and row may reach beyond the edge.
     pub fn coarser(&self, factor: usize) -> Self {
         Self {
             width: self.width.div_ceil(factor),
@@ -76,14 +78,14 @@ impl Grid {
         }
     }
 
-    /// The nearest cell of a ground position, held inside the grid.
+    /// Index of the cell at a ground position, metres; positions outside are clamped to the grid.
     pub fn nearest(&self, x_m: f32, y_m: f32) -> usize {
         let col = ((x_m - self.west_m) / self.cell_m).max(0.0) as usize;
         let row = ((self.north_m - y_m) / self.cell_m).max(0.0) as usize;
         row.min(self.height - 1) * self.width + col.min(self.width - 1)
     }
 
-    /// The connected groups of the cells of a mask, by their sides and corners.
+    /// Connected groups of the cells of a mask, as cell indices; cells that share a side or a corner are connected.
     pub fn connected(&self, mask: &[bool]) -> Vec<Vec<usize>> {
         let mut seen = vec![false; self.len()];
         let mut groups = Vec::new();
@@ -106,7 +108,7 @@ impl Grid {
         groups
     }
 
-    /// True if the box of two ground positions lies outside the grid, at least a cell away from it.
+    /// True if the bounding box of two ground positions, metres, lies more than a cell outside the grid.
     pub fn is_outside(&self, a: Vec3, b: Vec3) -> bool {
         let (low, high) = (a.min(b), a.max(b));
         let east_m = self.west_m + (self.width + 1) as f32 * self.cell_m;
@@ -114,15 +116,16 @@ impl Grid {
         high.x < self.west_m - self.cell_m || low.x > east_m || low.y > self.north_m + self.cell_m || high.y < south_m
     }
 
-    /// True if a ground position lies on the grid.
+    /// True if a ground position, metres, lies on the grid.
     pub fn contains(&self, x_m: f32, y_m: f32) -> bool {
         let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);
         col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32
     }
 }
 
-/// The minimum of `values` within `columns` and `rows` each way of each cell of a grid of `(width, height)`: first
-/// along rows, then across them.
+/// Minimum filter: for each cell of a grid of `(width, height)` cells the least of `values` within `columns` columns
+/// and `rows` rows on either side, first along rows, then across them. NaN is ignored; a window of NaN alone gives
+/// `f32::MAX`.
 pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, rows]: [usize; 2]) -> Vec<f32> {
     let near = |at: usize, reach: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
     let least = |values: &mut dyn Iterator<Item = f32>| values.fold(f32::MAX, f32::min);
@@ -134,8 +137,9 @@ pub fn lowest_within((width, height): (usize, usize), values: &[f32], [columns, 
         .collect()
 }
 
-/// Altitudes without structures narrower than twice the reach (columns, rows): a morphological opening, the maximum of
-/// the minima. Unknown cells (NaN) do not count as ground.
+/// Morphological opening of altitudes, metres, on a grid of `size` (width, height): the maximum of the minima within
+/// the reach (columns, rows), which removes structures narrower than twice the reach. Unknown cells (NaN) do not count
+/// as ground.
 pub fn opening(size: (usize, usize), up_m: &[f32], reach: [usize; 2]) -> Vec<f32> {
     let known: Vec<f32> = up_m.iter().map(|z| if z.is_nan() { f32::MAX } else { *z }).collect();
     let depths: Vec<f32> = lowest_within(size, &known, reach).iter().map(|z| -z).collect();

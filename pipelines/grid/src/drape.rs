@@ -1,30 +1,32 @@
-//! The ground below a surface model: a cloth that is draped over it from below.
+//! The ground below a surface model, as a cloth draped over the surface from below.
 //!
-//! The cloth is lifted step by step, stops at the surface, and is stiff: where ground holds it down, it stays on the ground, and below a
-//! building it spans from one side to the other. It is laid on a coarse grid first, on which the widest building is about a cell, and then on
-//! ever finer ones. The idea is that of the cloth simulation filter (Zhang et al., "An easy-to-use airborne LiDAR data filtering method based on
-//! cloth simulation", Remote Sensing 8, 2016) on a pyramid of grids, as in Lallement et al., "Bulldozer, a free open source scalable software
-//! for DTM extraction", ISPRS Archives XLIII-B4, 2022. The implementation is our own.
+//! The cloth is stiff and is lifted step by step until it meets the surface: it lies on the ground, and spans buildings
+//! from one side to the other. It starts on a coarse grid, on which the widest building is about a cell wide, and
+//! continues on ever finer ones. The idea is that of the cloth simulation filter (Zhang et al., "An easy-to-use
+//! airborne LiDAR data filtering method based on cloth simulation", Remote Sensing 8, 2016) on a pyramid of grids, as
+//! in Lallement et al., "Bulldozer, a free open source scalable software for DTM extraction", ISPRS Archives XLIII-B4,
+//! 2022. The implementation is our own.
 //!
-//! Limits: what is wider than `WIDEST_M` is ground; cliffs and the rim of steep ground (from 0.3 on) are too low;
-//! below buildings on a slope the ground is a smooth span.
+//! Limits: objects wider than `WIDEST_M` count as ground; cliffs and the rim of steep ground (from a slope of 0.3 on)
+//! are too low; below buildings on a slope the ground is a smooth span.
 
 use rayon::prelude::*;
 
-/// Buildings that are wider are taken for ground, metres.
+/// Width of the widest building, metres; wider objects count as ground.
 const WIDEST_M: f32 = 64.0;
-/// Steepest ground that the cloth follows from one grid to the next.
+/// Steepest slope that the cloth follows from one grid to the next, rise over run.
 const SLOPE: f32 = 0.5;
-/// Lifts on each grid, and rounds of smoothing after each.
+/// Lifts on each grid, and rounds of smoothing after each lift.
 const LIFTS: usize = 10;
 const ROUNDS: usize = 5;
-/// Cells within this of the cloth are ground, metres: the noise of surface models, and less than what stands on the ground.
+/// Largest height of a ground cell above the cloth, metres: the noise of surface models, and less than the height of
+/// objects on the ground.
 const GROUND_M: f32 = 0.5;
-/// Cells that are smoothed at once.
+/// Cells that one thread works on at a time, at least.
 const CHUNK: usize = 1024;
 
-/// The ground below the surface `altitude_m`, NaN where it is unknown, on a grid of `(width, height)` cells of `cell_m` metres; NaN where the
-/// surface is unknown.
+/// Altitudes of the ground below a surface, metres. `altitude_m` is the surface on a grid of `(width, height)` cells of
+/// `cell_m` metres, row by row; NaN where it is unknown, in the result too.
 pub fn ground((width, height): (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Vec<f32> {
     if altitude_m.is_empty() {
         return Vec::new();
@@ -62,7 +64,8 @@ struct Level {
 }
 
 impl Level {
-    /// The grid of cells twice as wide, up to the widest building; each has the second lowest of its four, which one low outlier does not move.
+    /// Next coarser grid of the pyramid, with cells twice as wide; `None` beyond the width of the widest building. Each
+    /// cell gets the second lowest of its four altitudes, which one low outlier does not change.
     fn coarser(&self) -> Option<Self> {
         let is_wide = 2.0 * self.cell_m > WIDEST_M || self.width.max(self.height) < 4;
         let second_lowest = |known: &mut [f32]| {
@@ -72,7 +75,7 @@ impl Level {
         (!is_wide).then(|| self.halved(second_lowest))
     }
 
-    /// The grid of cells twice as wide; each has what `of` makes of the known ones of its four.
+    /// Grid of cells twice as wide; `of` reduces the known ones of four values to one, NaN where none is known.
     fn halved(&self, of: impl Fn(&mut [f32]) -> f32 + Sync) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let cells = (0..width * height).into_par_iter().with_min_len(CHUNK);
@@ -114,7 +117,7 @@ impl Level {
             .collect()
     }
 
-    /// The cloth of the next coarser grid on this one.
+    /// Cloth of the next coarser grid, interpolated to this one.
     fn finer_of(&self, coarse: &Level, cloth: &[f32]) -> Vec<f32> {
         let at = |cell: usize| {
             let [col, row] = [cell % self.width, cell / self.width].map(|place| (place as f64 - 0.5) / 2.0);
@@ -124,9 +127,9 @@ impl Level {
         cells.map(at).collect()
     }
 
-    /// The cloth after its lifts on this grid.
+    /// Cloth after all lifts on this grid.
     fn draped(&self, mut cloth: Vec<f32>) -> Vec<f32> {
-        // By as much as the ground may rise over a cell of the coarser grid.
+        // All lifts together equal the rise of the steepest ground over a cell of the coarser grid.
         let lift_m = 2.0 * SLOPE * self.cell_m / LIFTS as f32;
         for _ in 0..LIFTS {
             cloth.par_iter_mut().with_min_len(CHUNK).for_each(|z| *z += lift_m);
@@ -142,7 +145,7 @@ impl Level {
     /// Keeps the cloth below the surface.
     fn hold(&self, cloth: &mut [f32]) {
         let cells = cloth.par_iter_mut().with_min_len(CHUNK).zip(&self.surface);
-        // What is unknown holds nothing.
+        // Unknown cells do not hold the cloth: `min` ignores NaN.
         cells.for_each(|(z, surface)| *z = z.min(*surface));
     }
 
@@ -168,7 +171,7 @@ impl Level {
         both
     }
 
-    /// The ground by the cloth: the surface itself where it lies on the cloth, and elsewhere a smooth span between such places.
+    /// Ground from the cloth: the surface where it lies on the cloth, elsewhere a smooth span between such cells.
     fn ground_below(&self, cloth: &[f32]) -> Vec<f32> {
         let is_ground = |(surface, cloth): (&f32, &f32)| (surface - cloth <= GROUND_M).then_some(*surface);
         let ground = self.surface.iter().zip(cloth);
@@ -181,7 +184,7 @@ impl Level {
         for ((z, surface), cloth) in spanned.iter_mut().zip(&self.surface).zip(cloth) {
             *z = match surface.is_nan() {
                 true => f32::NAN,
-                // Where no ground is near the cloth is all there is.
+                // Without ground nearby the cloth is the only estimate.
                 false if z.is_nan() => *cloth,
                 false => z.min(*surface),
             };
@@ -189,7 +192,7 @@ impl Level {
         spanned
     }
 
-    /// Its values, and where they are unknown those of the grid of cells twice as wide, smoothed.
+    /// Values of the grid; unknown ones come from the grid of cells twice as wide, and are smoothed.
     fn spanned(&self) -> Vec<f32> {
         let is_known: Vec<bool> = self.surface.iter().map(|z| z.is_finite()).collect();
         if self.width.max(self.height) < 2 || !is_known.contains(&false) || !is_known.contains(&true) {
@@ -214,7 +217,8 @@ impl Level {
 mod tests {
     use super::*;
 
-    /// 200 × 160 cells of half a metre on a slope of one in ten, with a house of 20 m × 15 m, 9 m high, and unknown cells.
+    /// 200 × 160 cells of half a metre on a slope of one in ten, with a house of 20 m × 15 m, 9 m high, and unknown
+    /// cells.
     fn site(slope: f32) -> (Vec<f32>, Vec<f32>) {
         let (mut surface, mut ground) = (Vec::new(), Vec::new());
         for row in 0..160usize {

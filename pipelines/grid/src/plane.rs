@@ -1,9 +1,9 @@
-//! The plane through points of a grid.
+//! The least-squares plane through points of a grid.
 
 /// Share of the product of the two variances below which a determinant is the rounding of points on one line.
 const LEAST_DETERMINANT: f64 = 1e-12;
 
-/// Weighted sums of a plane `z = p + q a + r b` by least squares.
+/// Weighted sums for the least-squares fit of a plane `z = p + q a + r b`.
 #[derive(Debug, Clone, Default)]
 pub struct PlaneFit {
     weight: f64,
@@ -12,7 +12,7 @@ pub struct PlaneFit {
 }
 
 impl PlaneFit {
-    /// Adds a point.
+    /// Adds a point `(a, b, z)` with a weight.
     pub fn add(&mut self, [a, b]: [f64; 2], z: f64, weight: f64) {
         self.weight += weight;
         for (sum, value) in self.first.iter_mut().zip([a, b, z]) {
@@ -23,8 +23,9 @@ impl PlaneFit {
         }
     }
 
-    /// `[p, q, r]`. `stiffness` is added to the variances of `a` and `b`, so that slopes stay finite where all points
-    /// lie on one line; without it the plane of such points is not finite.
+    /// Coefficients `[p, q, r]` of the plane. `stiffness`, in squared units of `a` and `b`, is added to their
+    /// variances, so that slopes stay finite where all points lie on one line; without it the plane of such points is
+    /// not finite.
     pub fn plane(&self, stiffness: f64) -> [f64; 3] {
         let [a, b, z] = self.first.map(|sum| sum / self.weight);
         let [aa, ab, bb, az, bz] = self.second.map(|sum| sum / self.weight);

@@ -9,24 +9,24 @@
 
 use rayon::prelude::*;
 
-/// Side of the squares that are stepped over, cells.
+/// Side of the blocks of cells that rays step over, cells.
 const SQUARE: usize = 16;
 
-/// A surface to walk over; cells that are not known are bottomless.
+/// Heights on a grid that rays are walked over; unknown cells never block a ray.
 pub struct Relief {
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows, the first in the north.
+    /// Number of rows, the first in the north.
     pub height: usize,
     /// Side of a cell, metres.
     pub cell_m: f32,
     altitude: Vec<f32>,
     top_m: f32,
-    /// The highest cell of each square and of the cells around it.
+    /// Highest altitude of each block and of the cells around it, metres.
     squares: Vec<f32>,
 }
 
-/// A direction over the ground, in steps of one column or one row.
+/// Direction over the ground, in steps of one column or one row, with the lowest elevation that matters.
 pub struct Toward {
     step: [f32; 2],
     /// Length of a step, cells.
@@ -40,8 +40,8 @@ pub struct Toward {
 }
 
 impl Toward {
-    /// Toward an azimuth, degrees clockwise from the grid's north (its rows' upward direction); elevations below
-    /// `lowest_deg` do not matter.
+    /// Direction of an azimuth, degrees clockwise from the grid's north (its rows' upward direction). Horizons below
+    /// the elevation `lowest_deg`, degrees, do not matter.
     pub fn new(azimuth_deg: f64, lowest_deg: f64) -> Self {
         let (east, north) = azimuth_deg.to_radians().sin_cos();
         let longer = east.abs().max(north.abs());
@@ -60,7 +60,7 @@ impl Toward {
         }
     }
 
-    /// The relief of a rough surface: heights less than `rise_m` above a cell do not shade it.
+    /// Direction for a rough surface: heights less than `rise_m` metres above a cell do not shade it.
     pub fn above(self, rise_m: f32) -> Self {
         Self {
             least_rise_m: rise_m,
@@ -68,7 +68,7 @@ impl Toward {
         }
     }
 
-    /// The relief of a surface with walls, each of which is `steps` (less than one) nearer than the first row or column
+    /// Direction for a surface with walls, each of which is `steps` (less than one) nearer than the first row or column
     /// at its height.
     pub fn nearer(self, steps: f32) -> Self {
         Self { nearer: steps, ..self }
@@ -117,30 +117,32 @@ impl Relief {
         self.altitude[cell].is_finite()
     }
 
-    /// The horizons of some cells.
+    /// Horizons of some cells in a direction, as tangents of their elevations ([`Relief::horizon`]).
     pub fn horizons(&self, cells: &[usize], toward: &Toward) -> Vec<f32> {
         cells.iter().map(|&cell| self.horizon(cell, toward)).collect()
     }
 
-    /// Tangent of the elevation of the horizon in a direction; at least that of the lowest elevation that matters.
+    /// Tangent of the elevation of a cell's horizon in a direction; at least the tangent of the lowest elevation that
+    /// matters. The height of the cell must be known.
     pub fn horizon(&self, cell: usize, toward: &Toward) -> f32 {
         self.walk(cell, toward, false)
     }
 
-    /// True if a cell is in the shadow of a sun in a direction at the lowest elevation that matters; `false` where its
-    /// height is unknown.
+    /// True if a cell is in the shadow of a sun that stands in a direction at its lowest elevation that matters;
+    /// `false` where the height of the cell is unknown.
     pub fn is_shaded(&self, cell: usize, toward: &Toward) -> bool {
         self.is_known(cell) && self.walk(cell, toward, true) > toward.least
     }
 
-    /// The cells in the shadow of a sun, azimuth as in [`Toward::new`] and elevation in degrees.
+    /// Shadow mask of all cells under a sun, azimuth as in [`Toward::new`] and elevation in degrees; `false` where the
+    /// height is unknown.
     pub fn shadows(&self, azimuth_deg: f64, elevation_deg: f64) -> Vec<bool> {
         let toward = Toward::new(azimuth_deg, elevation_deg);
         let cells = (0..self.altitude.len()).into_par_iter().with_min_len(self.width.max(1));
         cells.map(|cell| self.is_shaded(cell, &toward)).collect()
     }
 
-    /// The horizon, or with `first` the first value above the lowest elevation.
+    /// Horizon of a cell, or with `first` the first tangent above the lowest elevation.
     fn walk(&self, cell: usize, toward: &Toward, first: bool) -> f32 {
         let (col, row) = ((cell % self.width) as f32, (cell / self.width) as f32);
         let here = self.altitude[cell];

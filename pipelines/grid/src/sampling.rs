@@ -22,8 +22,10 @@ pub fn bilinear(values: &[f32], (width, height): (usize, usize), col: impl Into<
     top + (bottom - top) * fr
 }
 
-/// Bilinear value up to the grid's outer edge, half a cell beyond the outermost centres, with the value of the edge there.
-/// Missing neighbours with a weight within rounding are ignored, so that grids that agree up to rounding lose no cells.
+/// Bilinear value of a grid of `(width, height)` cells at a fractional column and row. Between the outermost centres
+/// and the grid's outer edge, half a cell beyond, it is the value at the edge; NaN outside and next to missing cells
+/// (NaN). Missing neighbours with a weight within rounding are ignored, so that grids that agree up to rounding lose no
+/// cells.
 pub fn bilinear_to_the_edge(values: &[f32], (width, height): (usize, usize), col: f64, row: f64) -> f32 {
     let (last_col, last_row) = (width as f64 - 1.0, height as f64 - 1.0);
     let inside = !values.is_empty() && col >= -0.5 && row >= -0.5 && col <= last_col + 0.5 && row <= last_row + 0.5;

@@ -49,10 +49,10 @@ pub trait Real:
     /// The order of IEEE 754, in which every two values can be compared.
     #[doc(hidden)]
     fn order(&self, other: &Self) -> Ordering;
-    /// Distance between the two.
+    /// Absolute difference of two values.
     #[doc(hidden)]
     fn distance(self, other: Self) -> Self;
-    /// In units of a normal distribution's standard deviation.
+    /// Standard deviation of a normal distribution with this median absolute deviation.
     #[doc(hidden)]
     fn sigma_of_mad(self) -> Self;
 }
@@ -117,7 +117,7 @@ pub fn upper_quantile<T: Real>(values: &mut [T], p: f64) -> Option<T> {
     ranked(values, ((values.len() as f64 * p) as usize).min(last))
 }
 
-/// Median of the distances from the median: median |x − median(x)|, both as [`median`] has them. `None` of no values.
+/// Median absolute deviation: median |x − median(x)|, both by [`median`]. `None` of no values.
 pub fn median_absolute_deviation<T: Real>(values: &[T]) -> Option<T> {
     let mut values = values.to_vec();
     let middle = median(&mut values)?;

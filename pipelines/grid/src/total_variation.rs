@@ -27,8 +27,9 @@ const ITERATIONS: usize = 150;
 const PRIMAL_STEP: f32 = 1.0;
 const DUAL_STEP: f32 = 1.0 / (8.0 * PRIMAL_STEP);
 
-/// Replaces the altitudes of a grid of rows of `width` cells of `cell_m` metres by the most probable surface;
-/// `deviation_m` are their standard deviations, metres. Cells whose altitude is NaN stay unknown and have no effect.
+/// Replaces altitudes, metres, by the most probable surface. The grid has rows of `width` cells of `cell_m` metres;
+/// `deviation_m` are the standard deviations of the altitudes, metres. Cells whose altitude is NaN stay unknown and
+/// have no effect.
 pub fn smooth_by_deviation(width: usize, cell_m: f32, altitude_m: &mut [f32], deviation_m: &[f32]) {
     let mut known: Vec<f32> = altitude_m.iter().copied().filter(|z| z.is_finite()).collect();
     // Differences to a middle keep their digits where altitudes are in thousands.

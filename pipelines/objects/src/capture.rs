@@ -23,35 +23,35 @@ const FILES: [(&str, Split); 4] = [
     ("transforms_valid.json", Split::Test),
 ];
 
-/// One image of a capture.
+/// One image of a capture with its camera and light.
 #[derive(Debug, Clone)]
 pub struct Frame {
-    /// Its name: the path as written in the list, without extension.
+    /// Name: the path as written in the list, without extension.
     pub name: String,
-    /// Its file.
+    /// Path of the image file.
     pub path: PathBuf,
-    /// Train or test.
+    /// Use of the image: training or testing.
     pub split: Split,
-    /// Its camera.
+    /// Camera in the capture's own frame and units.
     pub camera: Pinhole,
-    /// Its light, if known.
+    /// Light, if known.
     pub light: Option<PointLight>,
-    /// Its pixels.
+    /// Colours and coverage of the pixels.
     pub picture: Picture,
 }
 
-/// The images of an object.
+/// The images of an object, with the centre and scale of its views.
 #[derive(Debug, Clone)]
 pub struct Capture {
-    /// The folder, or the file that was given.
+    /// Folder of the capture, or its `transforms` file.
     pub source: PathBuf,
     /// The images, in the order of their lists.
     pub frames: Vec<Frame>,
-    /// Centre of the cameras' views, in their frame: the origin of the model's.
+    /// Point nearest to the optical axes, in the frame of the cameras: the origin of the model's frame.
     pub centre: DVec3,
-    /// Half of the side of the cube that cameras see, in their units.
+    /// Half side of the cube that the cameras see (median over the images), in the capture's units.
     pub half_size: f64,
-    /// Width of a pixel at the centre.
+    /// Width of a pixel at the centre (median over the images), in the capture's units.
     pub pixel_size: f64,
     /// Suspicious findings that do not stop the run.
     pub warnings: Vec<String>,
@@ -67,8 +67,8 @@ pub fn is_capture(path: &Path) -> bool {
 }
 
 impl Capture {
-    /// True normals, `(n + 1) / 2`, and the number of the part of the object at each pixel of a frame; `None` where the
-    /// capture has no truth.
+    /// True unit normals of a frame, encoded as `(n + 1) / 2`, and the number of the object's part at each pixel;
+    /// `None` where the capture has no truth.
     pub fn true_parts(&self, frame: &Frame) -> Option<(image::RgbImage, image::GrayImage)> {
         let folder = match self.source.is_dir() {
             true => self.source.as_path(),
@@ -79,10 +79,12 @@ impl Capture {
         Some((file("normal")?.to_rgb8(), file("part")?.to_luma8()))
     }
 
-    /// Opens the capture in a folder, or of one `transforms` file, and reads its images, which may take `image_bytes`.
+    /// Opens the capture at `path`, a folder or one `transforms` file, and reads its images into at most `image_bytes`
+    /// bytes.
     ///
     /// # Errors
-    /// [`CaptureError`], naming the file at fault.
+    /// [`CaptureError`] with the file at fault, also where the images need more memory or no camera looks at a common
+    /// point.
     pub fn open(path: &Path, image_bytes: u64) -> Result<Self, CaptureError> {
         let specs = list(path)?;
         let sizes = specs.par_iter().map(|(spec, _)| pixels::size_px(&spec.path));
@@ -147,12 +149,12 @@ impl Capture {
         })
     }
 
-    /// The images of a split.
+    /// Iterates over the images for training or for testing, in the order of their lists.
     pub fn of(&self, split: Split) -> impl Iterator<Item = &Frame> {
         self.frames.iter().filter(move |f| f.split == split)
     }
 
-    /// True if all images come with their coverage.
+    /// True if all images have coverage.
     pub fn has_coverage(&self) -> bool {
         self.frames.iter().all(|f| f.picture.coverage.is_some())
     }

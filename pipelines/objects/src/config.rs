@@ -1,10 +1,10 @@
-//! The configuration of a run on a capture: data, not code, as for satellite scenes.
+//! Configuration of a run on a capture: options, presets, and the optional parts of models.
 
 use heliosplat::optim::DensityOptions;
 use heliosplat::train::TrainOptions;
 use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 
-/// Initial Gaussians.
+/// Options of the initial Gaussians.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {
@@ -18,11 +18,12 @@ impl Default for StartOptions {
     }
 }
 
-/// Background of the object.
+/// Colour behind the object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Background {
-    /// White for PNG with coverage, as is common; black for EXR with coverage; else the colour of the images' borders.
+    /// White for PNG with coverage, as is common, and black for EXR with coverage. Without coverage the colour of the
+    /// images' borders, or black where they have several colours.
     Auto,
     /// White.
     White,
@@ -34,40 +35,40 @@ pub enum Background {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ModelKind {
-    /// `olat` where every image has a light and they are in different places; else `reflective` where short fits find
-    /// gloss, and `radiance` where not.
+    /// `olat` where every image has a light and the lights are in different places; else `reflective` where short fits
+    /// find gloss, and `radiance` elsewhere.
     Auto,
-    /// Colours as seen from anywhere, under the light of the photographs.
+    /// View-dependent colours under the light of the photographs.
     Radiance,
     /// Surfaces lit by one light at a time.
     Olat,
-    /// Glossy surfaces in surroundings that stay.
+    /// Glossy surfaces in constant surroundings.
     Reflective,
 }
 
-/// The model.
+/// Options of the model.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelOptions {
-    /// The kind, where the user overrides the choice by the images.
+    /// Kind of model; [`ModelKind::Auto`] leaves the choice to the images.
     pub kind: ModelKind,
-    /// True if surfaces may be glossy. They are glossy where that is needed, see [`super::plan`], or where `kind` names
-    /// the model.
+    /// True if surfaces may be glossy. Short fits decide ([`super::plan`]) where `kind` is `auto` or `olat`; with
+    /// `reflective` they are glossy.
     pub specular: bool,
-    /// True if light may scatter under surfaces, in `olat`; as for gloss.
+    /// True if light may scatter under surfaces, in `olat`; short fits decide.
     pub scattering: bool,
     /// True if a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it gains
     /// nothing. Short fits do not measure it.
     pub refined_shadow: bool,
-    /// True if the light that reaches surfaces is traced, in `olat`; off in the comparison of docs/lab/objects.md, for
-    /// a sixth of the time.
+    /// True if the light that reaches surfaces is traced, in `olat`. It is off in the comparison of
+    /// docs/lab/objects.md, which takes a sixth of the time.
     pub shadow: bool,
     /// Radius of the lights, in `olat`, in the capture's units: 0 for points, larger for lamps that are near.
     pub light_radius: f32,
     /// Largest degree of the spherical harmonics: 3, or 0 for objects with the same colour from all directions.
     pub sh_degree: usize,
-    /// Units of each hidden layer of all networks, 1 to 256: the papers have 64 (`reflective`), worth 0.1 to 0.3 dB in
-    /// up to twice the time, and 256 (`olat`), 14 times the time (docs/lab/objects.md).
+    /// Units of each hidden layer of all networks, 1 to 256. The papers have 64 in `reflective` (0.1 to 0.3 dB better
+    /// in up to twice the time) and 256 in `olat` (14 times the time), see docs/lab/objects.md.
     pub network_width: usize,
     /// Hidden layers of all networks, 1 to 8; 3 and 6 in the papers.
     pub network_layers: usize,
@@ -97,7 +98,7 @@ impl Default for ModelOptions {
 }
 
 impl ModelOptions {
-    /// Refuses networks of size zero and of absurd sizes.
+    /// Checks that networks have 1 to 256 units in each of 1 to 8 layers.
     fn checked(&self) -> Result<(), ConfigError> {
         let (width, layers) = (self.network_width, self.network_layers);
         ConfigError::check(&[
@@ -121,20 +122,21 @@ impl ModelOptions {
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObjectConfig {
-    /// Training.
+    /// Options of the training.
     pub train: TrainOptions,
-    /// The start.
+    /// Options of the initial Gaussians.
     pub start: StartOptions,
-    /// The model.
+    /// Options of the model.
     pub model: ModelOptions,
 }
 
 impl ObjectConfig {
-    /// The defaults, then the preset's file, then the `--set` pairs in their order.
+    /// Resolves a configuration: the defaults, then the preset's file, then the `--set` pairs in their order. `seed` is
+    /// the seed of training.
     ///
     /// # Errors
-    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one
-    /// that means nothing.
+    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for a
+    /// network of a size out of range, or a preset for satellite scenes only.
     pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
         let text = match preset {
             Preset::Fast => include_str!("../presets/fast.toml"),
@@ -155,7 +157,7 @@ impl ObjectConfig {
     }
 }
 
-/// Optional parts of a model; short fits decide.
+/// Optional parts of a model, selected by short fits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Parts {
     /// True if surfaces are glossy, in kinds with that choice.

@@ -12,12 +12,12 @@ use std::path::Path;
 pub struct CaptureError(pub(crate) String);
 
 impl CaptureError {
-    /// Fault of a file.
+    /// Error of a file: its path, the fault and the remedy.
     pub(crate) fn file(path: &Path, what: impl std::fmt::Display, remedy: &'static str) -> Self {
         Self(format!("{}: {what}; {remedy}", path.display()))
     }
 
-    /// A file that cannot be read.
+    /// Converter of I/O errors of the file `path`.
     pub(crate) fn io(path: &Path) -> impl Fn(std::io::Error) -> Self {
         move |reason| Self::file(path, reason, "check that it is there and may be read")
     }
@@ -26,25 +26,25 @@ impl CaptureError {
 /// Reason why a capture did not become a run, or a run could not be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum ObjectError {
-    /// The capture.
+    /// The capture cannot be read.
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    /// A setting.
+    /// A setting is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// Settings that cannot be written down.
+    /// The configuration cannot be written as TOML.
     #[error("the configuration cannot be written: {0}")]
     Settings(String),
-    /// No room for the Gaussians that training starts from.
+    /// The memory limit leaves too little for the initial Gaussians.
     #[error("{0}")]
     Memory(String),
-    /// The course of a training.
+    /// The training failed or was stopped.
     #[error(transparent)]
     Training(#[from] TrainingError),
-    /// A file of the run.
+    /// A file of the run cannot be read or written.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A picture.
+    /// A picture cannot be written.
     #[error(transparent)]
     Raster(#[from] RasterError),
 }

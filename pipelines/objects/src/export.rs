@@ -28,7 +28,7 @@ const STRIDE: usize = 16;
 /// of the photographs.
 ///
 /// # Errors
-/// A sentence with the fault.
+/// A sentence with the fault: the model needs a light and has none, or cannot be relit.
 pub fn baked(model: &ObjectModel, light: Option<Light>) -> Result<Table, String> {
     let kind = match light {
         None if matches!(model.file.kind, Kind::Olat(_)) => {

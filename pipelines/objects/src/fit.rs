@@ -1,4 +1,4 @@
-//! From a capture to a trained model.
+//! Fit of a model to a capture: selection of the model, initial Gaussians, training.
 
 use super::capture::{Capture, Frame};
 use super::config::ObjectConfig;
@@ -18,32 +18,32 @@ use heliosplat_session::Session;
 use heliosplat_session::log::grouped;
 use std::time::Instant;
 
-/// A trained model and how it came about.
+/// A trained model, with the plan and the course of its training.
 pub struct Fitted {
-    /// The model.
+    /// The trained model.
     pub model: ObjectModel,
     /// The fitted model and the reasons for it.
     pub plan: Plan,
-    /// Initialisation of the Gaussians, in words.
+    /// Place of the initial Gaussians, in words.
     pub start: &'static str,
     /// Initial number of Gaussians.
     pub started: usize,
-    /// Steps done.
+    /// Number of steps done.
     pub iterations: usize,
     /// Steps rejected because of a number that is not finite.
     pub rejected: usize,
-    /// Seconds before training and in it.
+    /// Seconds before the training, and of the training.
     pub seconds: [f64; 2],
-    /// The course of training.
+    /// Losses and accuracy during training.
     pub curve: Vec<CurvePoint>,
-    /// End of the training.
+    /// Reason why the training ended.
     pub ending: Ending,
 }
 
-/// Fits a model to `capture`, or continues from the `checkpoint` of an interrupted fit; `checkpoints` writes its state.
+/// Fits a model to `capture`, or continues from the `checkpoint` of an interrupted fit; `checkpoints` writes the state.
 ///
 /// # Errors
-/// [`TrainingError`] when training fails.
+/// [`TrainingError`] when a short fit or the training fails, or the state cannot be written.
 pub fn fit(
     capture: &Capture,
     config: &ObjectConfig,

@@ -19,23 +19,24 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Lights further than this from every light of training are far from them, radians: 8.6 degrees.
+/// Angle from the nearest training light beyond which a light is far, radians (8.6 degrees).
 const FAR_RAD: f64 = 0.15;
 
-/// Held-out images that are scored during training.
+/// Most held-out images that are scored during training.
 const PROBED: usize = 3;
 
-/// A frame and its rendering.
+/// A frame and its rendering, of one size.
 pub struct Compared {
     /// The image, in front of the model's background.
     pub truth: Raster,
-    /// The rendering.
+    /// Rendering for the frame's camera and light.
     pub rendered: Raster,
-    /// Their likeness; `None` where nothing is known in both.
+    /// PSNR and SSIM of the rendering; `None` where no pixel is known in both.
     pub score: Option<ImageScore>,
 }
 
-/// Compares a frame with its rendering. Display images are clamped to the displayable range, 0 to 1.
+/// Compares a frame with its rendering. Display values of the rendering are clamped to 0..1. `None` when the model lies
+/// behind the camera.
 pub fn compare(model: &ObjectModel, frame: &Frame) -> Option<Compared> {
     let preparation = Preparation {
         coverage: false,
@@ -53,12 +54,13 @@ pub fn compare(model: &ObjectModel, frame: &Frame) -> Option<Compared> {
     })
 }
 
-/// True if a model's values are in proportion to light.
+/// True if the values of a model's renderings are proportional to light, false if they are display values.
 pub fn is_linear(model: &ObjectModel) -> bool {
     model.file.encoding == Encoding::Linear || model.file.preparation.linear
 }
 
-/// Scores a model in training on some of the images held out; `file` describes the model. `None` without such images.
+/// Probe of a training: mean PSNR on at most three held-out images; `file` describes the model. `None` without held-out
+/// images.
 pub(super) fn psnr_probe(capture: &Capture, file: ObjectFile) -> Option<Box<Probe<'_>>> {
     let held_out: Vec<&Frame> = capture.of(Split::Test).collect();
     let step = held_out.len().div_ceil(PROBED).max(1);
@@ -102,17 +104,17 @@ fn scores(model: &ObjectModel, frames: &[&Frame], folder: Option<&Path>) -> Resu
     }))
 }
 
-/// Name of the picture of an image.
+/// File name, without extension, for the picture of an image: slashes become underscores.
 pub fn file_name(name: &str) -> String {
     name.replace(['/', '\\'], "_")
 }
 
-/// A picture of a rendering or of its reference.
+/// Display picture of 8 bits of a rendering by `model` or of its reference.
 pub fn picture(raster: &Raster, model: &ObjectModel) -> RgbImage {
     picture_of(raster, is_linear(model))
 }
 
-/// A picture of linear or display values.
+/// Display picture of 8 bits of linear or display values, clamped to 0..1; missing values are black.
 pub fn picture_of(raster: &Raster, linear: bool) -> RgbImage {
     let byte = |value: f32| {
         let x = if value.is_finite() { value.clamp(0.0, 1.0) } else { 0.0 };
@@ -191,7 +193,8 @@ fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<
     (angles > 0).then(|| json!({"mean_deg": angle / angles as f64, "parts": parts}))
 }
 
-/// `metrics.json` of a model, from the images alone.
+/// Content of `metrics.json`: scores on training and held-out images. Held-out images and their renderings are written
+/// into the folder `pictures`, if given.
 ///
 /// # Errors
 /// When a picture cannot be written.
@@ -236,7 +239,7 @@ fn nearest_light_rad(frame: &Frame, others: &[&Frame], capture: &Capture) -> Opt
     angles.min_by(f64::total_cmp)
 }
 
-/// The metrics for people.
+/// Summary of `metrics.json` as lines of text.
 pub fn summary(metrics: &Value) -> String {
     let number = |path: &str| metrics.pointer(path).and_then(Value::as_f64);
     let values = metrics.get("values").and_then(Value::as_str).unwrap_or("display");

@@ -32,21 +32,21 @@ const OUTLIERS: f64 = 0.002;
 /// A closed surface in the frame of the cameras.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Mesh {
-    /// Places of the corners.
+    /// Positions of the vertices, in the capture's units.
     pub positions: Vec<[f32; 3]>,
-    /// Unit normals of the corners, outward.
+    /// Unit normals of the vertices, outward.
     pub normals: Vec<[f32; 3]>,
-    /// Display colours of the corners, red, green and blue.
+    /// Display colours of the vertices (sRGB): red, green and blue.
     pub colours: Vec<[u8; 3]>,
-    /// Corners of the triangles, anticlockwise as seen from outside.
+    /// Vertices of the triangles, anticlockwise as seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
 /// Meshes a model in a grid whose longest side has `cells` cells. Colours are means over the images, each in its own
-/// light.
+/// light. `progress` gets the number of renderings done, two for each image.
 ///
 /// # Errors
-/// A sentence with the fault: a model without a surface.
+/// A sentence with the fault: the model has no opaque Gaussian, or its cameras see no surface.
 pub fn mesh(model: &ObjectModel, cells: usize, progress: &dyn Fn(u64)) -> Result<Mesh, String> {
     let mut grid = Grid::around(&model.parameters.gaussians, cells).ok_or("it has no Gaussian that is opaque")?;
     for (done, image) in model.file.images.iter().enumerate() {
@@ -68,7 +68,7 @@ pub fn mesh(model: &ObjectModel, cells: usize, progress: &dyn Fn(u64)) -> Result
 }
 
 impl Mesh {
-    /// The same without pieces that are much smaller than the largest, the remains of noise between surfaces.
+    /// The mesh without pieces that are much smaller than the largest one: remains of noise between surfaces.
     fn without_crumbs(self) -> Self {
         let piece = self.pieces();
         let mut sizes = vec![0usize; self.positions.len()];

@@ -25,20 +25,20 @@ use std::path::Path;
 /// Version of `model.json`.
 pub const SCHEMA: u32 = 1;
 
-/// A kind of model with its options.
+/// Kind of model with its options, which `model.json` contains.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(tag = "model", content = "options", rename_all = "snake_case")]
 pub enum Kind {
-    /// Colours as seen from anywhere.
+    /// View-dependent colours.
     Radiance(RadianceOptions),
     /// Surfaces lit by one light at a time.
     Olat(OlatOptions),
-    /// Glossy surfaces in surroundings that stay.
+    /// Glossy surfaces in constant surroundings.
     Reflective(ReflectiveOptions),
 }
 
 impl Kind {
-    /// The model itself.
+    /// Model with these options.
     pub fn model(&self) -> Box<dyn SceneModel> {
         match self {
             Self::Radiance(options) => Box::new(Radiance::new(options.clone())),
@@ -47,7 +47,7 @@ impl Kind {
         }
     }
 
-    /// The model with one component of its light alone; `None` if it has no components.
+    /// Kind that renders one component of the light alone; `None` if the model lacks the component.
     pub fn showing(&self, shows: Component) -> Option<Self> {
         match self {
             Self::Radiance(_) => None,
@@ -64,7 +64,7 @@ impl Kind {
         }
     }
 
-    /// The model under lamps; `None` if it cannot be relit.
+    /// Kind that renders under lamps; `None` if the model cannot be relit.
     pub fn lit(&self) -> Option<Self> {
         match self {
             Self::Radiance(_) => None,
@@ -76,7 +76,7 @@ impl Kind {
         }
     }
 
-    /// Names of the parts of a model.
+    /// Names of the parts that the model has.
     pub fn parts(&self) -> Vec<&'static str> {
         let named = |parts: &[(&'static str, bool)]| parts.iter().filter(|p| p.1).map(|p| p.0).collect();
         match self {
@@ -93,16 +93,16 @@ impl Kind {
     }
 }
 
-/// One image of the model.
+/// Name, use, camera and light of an image of the capture.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ObjectImage {
-    /// Its name.
+    /// Name: the path as written in the capture's list, without extension.
     pub name: String,
-    /// Train or test.
+    /// Use of the image: training or testing.
     pub split: Split,
-    /// Its camera, in the frame of the capture.
+    /// Camera in the capture's own frame and units.
     pub camera: Pinhole,
-    /// Its light, if known.
+    /// Light, if known.
     pub light: Option<PointLight>,
 }
 
@@ -125,24 +125,24 @@ pub struct ObjectFile {
     /// SHA-256 of `model.ply`, hexadecimal; absent in models of versions that did not state it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gaussians_sha256: Option<String>,
-    /// Kind of model.
+    /// Kind of model with its options.
     #[serde(flatten)]
     pub kind: Kind,
     /// Parameters shared by all Gaussians.
     pub globals: Table,
-    /// Origin of the model in the frame of the cameras; `model.ply` counts from here.
+    /// Origin of the model in the frame of the cameras; positions in `model.ply` are relative to it.
     pub centre: DVec3,
-    /// Half of the side of the cube that cameras see.
+    /// Half side of the cube that the cameras see, in the capture's units.
     pub half_size: f64,
-    /// Width of a pixel at the centre.
+    /// Width of a pixel at the centre, in the capture's units.
     pub pixel_size: f64,
-    /// Encoding of pixel values.
+    /// Encoding of pixel values of the capture's images.
     pub encoding: Encoding,
     /// Conversion of images to training data.
     pub preparation: Preparation,
     /// Projection of Gaussians to splats.
     pub projection: ProjectionOptions,
-    /// The images.
+    /// The images of the capture.
     pub images: Vec<ObjectImage>,
 }
 
@@ -150,9 +150,9 @@ pub struct ObjectFile {
 pub struct ObjectModel {
     /// Content of `model.json`.
     pub file: ObjectFile,
-    /// The model.
+    /// Model with the options of `file`.
     pub model: Box<dyn SceneModel>,
-    /// Its parameters.
+    /// Gaussians and shared parameters.
     pub parameters: Parameters,
 }
 
@@ -163,8 +163,9 @@ impl ObjectModel {
         self.render_as(&*self.model, image)
     }
 
-    /// The same under other lamps, which add up, in linear values; a lamp of strength one is as strong as those of the
-    /// capture. `None` when the model lies behind the camera or cannot be relit, or when there is no lamp.
+    /// Rendering for an image's camera under the sum of `lamps`: red, green and blue, linear values, in front of the
+    /// model's background. A lamp of strength one is as strong as those of the capture. `None` when the model lies
+    /// behind the camera or cannot be relit, or when there is no lamp.
     pub fn relit(&self, image: &ObjectImage, lamps: &[Lamp]) -> Option<Raster> {
         let model = self.file.kind.lit()?.model();
         let behind = self.file.preparation.background;
@@ -187,7 +188,7 @@ impl ObjectModel {
     }
 
     /// Unit normals at a camera's pixels, in the frame of the cameras: the model's own normals where it has them, else
-    /// those of the Gaussians; zero on the background.
+    /// those of the Gaussians; zero on the background. `None` when the model lies behind the camera.
     pub fn normals(&self, image: &ObjectImage) -> Option<Raster> {
         let camera = image.camera.projective(self.file.centre)?;
         let own = self.file.kind.showing(Component::Normal).map(|kind| kind.model());
@@ -209,7 +210,8 @@ impl ObjectModel {
         Some(out)
     }
 
-    /// The image by another model of the same parameters.
+    /// Rendering for an image's camera and light by another model of the same parameters, such as one of
+    /// [`components`]. `None` when the model lies behind the camera.
     pub fn render_as(&self, model: &dyn SceneModel, image: &ObjectImage) -> Option<Raster> {
         let (_, maps, mut seen) = self.look(model, &image.camera, self.light(image))?;
         let behind = self.file.preparation.background;
@@ -261,6 +263,7 @@ impl ObjectModel {
     }
 }
 
+/// Error of a file of a run with invalid content.
 pub(super) fn damaged(path: &Path, reason: impl ToString) -> RunError {
     RunError::Damaged {
         path: path.to_owned(),
@@ -281,7 +284,8 @@ pub fn is_object_run(folder: &Path) -> bool {
         .is_ok_and(|table| table.contains_key("capture"))
 }
 
-/// `model.json` of a training.
+/// Content of `model.json` for a model fitted to `capture`, without the SHA-256 of its Gaussians, which is computed
+/// when the model is saved.
 pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Table) -> ObjectFile {
     ObjectFile {
         schema: SCHEMA,
@@ -298,8 +302,7 @@ pub fn file(capture: &Capture, kind: Kind, preparation: Preparation, globals: Ta
     }
 }
 
-/// Writes a model alone into `folder`, which must exist: `model.ply`, then `model.json`. That is all that is needed to
-/// show it.
+/// Writes a model alone into `folder`, which must exist: `model.ply`, then `model.json`. Rendering needs no other file.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -307,7 +310,10 @@ pub fn save_model(folder: &Path, model: &ObjectModel) -> Result<(), RunError> {
     save(folder, &[], model)
 }
 
-/// Writes a model and the `texts` of its run by their names.
+/// Writes a model and the `texts` of its run (name, text) into `folder`, which must exist.
+///
+/// # Errors
+/// When a file cannot be removed or written.
 pub(super) fn save(folder: &Path, texts: &[(&str, &str)], model: &ObjectModel) -> Result<(), RunError> {
     let gaussians = splat_ply::encode(&model.parameters.gaussians, &[]);
     run_folder::save_model(folder, &gaussians, texts, |sum| {
@@ -318,7 +324,7 @@ pub(super) fn save(folder: &Path, texts: &[(&str, &str)], model: &ObjectModel) -
     })
 }
 
-/// The model of a run.
+/// Reads the model of the run in `folder`.
 ///
 /// # Errors
 /// When a file is missing or damaged.

@@ -3,14 +3,14 @@
 use super::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
 use heliosplat::gaussians::{Group, GroupSpec};
 
-/// Most units of a hidden layer, and most hidden layers: thousands of times the usual ones.
+/// Most units of a hidden layer, and most hidden layers: far more than the 256 and 8 of the configuration.
 const WIDTH_MAX: usize = 4096;
 const HIDDEN_MAX: usize = 64;
 /// Most pixels of an image.
 const PIXELS_MAX: f64 = (1u64 << 30) as f64;
 
 impl ObjectFile {
-    /// Content of a `model.json`, checked.
+    /// Parses the text of a `model.json` and checks its values.
     ///
     /// # Errors
     /// A sentence with the fault.

@@ -13,9 +13,9 @@ const STANDARD_ERRORS: f64 = 2.0;
 /// Squared errors of one piece, summed over its pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Piece {
-    /// Without the component.
+    /// Squared error without the component.
     pub without: f64,
-    /// With it.
+    /// Squared error with the component.
     pub with: f64,
 }
 
@@ -24,9 +24,9 @@ pub struct Piece {
 pub struct Gain {
     /// Squared error without the component over that with it, decibels: above zero it helps.
     pub gain_db: f64,
-    /// Standard error of this, decibels.
+    /// Standard error of the gain, decibels.
     pub standard_error_db: f64,
-    /// Pieces compared.
+    /// Number of pieces compared.
     pub pieces: usize,
 }
 
@@ -35,14 +35,14 @@ pub struct Gain {
 pub enum Verdict {
     /// The component helps.
     Better,
-    /// It harms.
+    /// The component harms.
     Worse,
-    /// Neither is beyond chance.
+    /// The gain is within chance, or below the least one.
     Undecided,
 }
 
 impl Gain {
-    /// The gain over all pieces that have errors; `None` of too few.
+    /// Gain over all pieces whose errors are finite and not both zero; `None` for fewer than five such pieces.
     pub fn of(pieces: &[Piece]) -> Option<Self> {
         let sound = |piece: &&Piece| {
             let Piece { without, with } = piece;
@@ -68,7 +68,8 @@ impl Gain {
         })
     }
 
-    /// Better or worse where the gain is beyond two standard errors and `least_db` from zero.
+    /// Conclusion: better or worse where the gain is more than two standard errors and more than `least_db` decibels
+    /// from zero, else undecided.
     pub fn verdict(&self, least_db: f64) -> Verdict {
         let beyond = self.gain_db.abs() > STANDARD_ERRORS * self.standard_error_db && self.gain_db.abs() > least_db;
         match (beyond, self.gain_db > 0.0) {
@@ -78,7 +79,7 @@ impl Gain {
         }
     }
 
-    /// The gain with its standard error, in words.
+    /// Gain and standard error as text, such as `+0.31 ± 0.05 dB`.
     pub fn in_words(&self) -> String {
         let &Self {
             gain_db,

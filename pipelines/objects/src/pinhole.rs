@@ -1,4 +1,4 @@
-//! A camera as captures describe it, and as the engine sees it.
+//! Pinhole cameras of captures, and their conversion to cameras of the engine.
 
 use glam::{DMat3, DVec3};
 use heliosplat::ProjectiveCamera;
@@ -9,25 +9,26 @@ const FARTHEST: f64 = 1e6;
 /// A pinhole camera in the capture's own frame and units; pixel centres at integers.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Pinhole {
-    /// Its position.
+    /// Position of the camera.
     pub eye: DVec3,
-    /// Unit vector along columns.
+    /// Unit vector of growing columns, to the right in the image.
     pub right: DVec3,
-    /// Unit vector along rows.
+    /// Unit vector of growing rows, downwards in the image.
     pub down: DVec3,
     /// Unit vector of the optical axis, away from the camera.
     pub forward: DVec3,
     /// Focal lengths along columns and rows, pixels.
     pub focal_px: [f64; 2],
-    /// Column and row of the principal point.
+    /// Column and row of the principal point, pixels.
     pub principal_px: [f64; 2],
-    /// Columns and rows.
+    /// Numbers of columns and rows.
     pub size_px: [usize; 2],
 }
 
 impl Pinhole {
-    /// A camera whose axes are the columns of `world_from_camera` in OpenGL's way: right, up, backward. They need not
-    /// be of unit length, nor quite at right angles; `None` when they span no space or a number is not finite.
+    /// Camera without intrinsics and size, whose axes are the columns of `world_from_camera`: right, up and backward as
+    /// in OpenGL. They need not be of unit length, nor quite at right angles. `None` when they span no space or are
+    /// mirrored, or when a number is not finite or `eye` is a million units or more from the origin.
     pub fn from_opengl(world_from_camera: DMat3, eye: DVec3) -> Option<Self> {
         let (right, backward) = (world_from_camera.x_axis, world_from_camera.z_axis);
         // Beyond the limit an f32 no longer resolves the object's parts.
@@ -51,12 +52,12 @@ impl Pinhole {
         })
     }
 
-    /// Distance of a point along the optical axis.
+    /// Distance of a point along the optical axis, in the capture's units; negative behind the camera.
     pub fn depth(&self, point: DVec3) -> f64 {
         self.forward.dot(point - self.eye)
     }
 
-    /// The engine's camera of a scene whose origin is `centre`; `None` when that does not lie in front of this one.
+    /// Camera of the engine in a frame with the origin `centre`; `None` when `centre` is not in front of this camera.
     pub fn projective(&self, centre: DVec3) -> Option<ProjectiveCamera> {
         let depth = self.depth(centre);
         if depth <= 1e-9 {
@@ -75,8 +76,8 @@ impl Pinhole {
     }
 }
 
-/// The point nearest to the optical axes of all cameras: the centre of a capture. Parallel axes are assumed to meet at
-/// `1` in front of their mean.
+/// Point nearest to the optical axes of all cameras (least squares): the centre of a capture. Parallel axes are assumed
+/// to meet one unit in front of their mean.
 pub fn common_centre(cameras: &[Pinhole]) -> DVec3 {
     let count = cameras.len().max(1) as f64;
     let (mut matrix, mut vector, mut ahead) = (DMat3::ZERO, DVec3::ZERO, DVec3::ZERO);

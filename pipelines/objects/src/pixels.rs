@@ -8,20 +8,20 @@ use std::path::Path;
 /// The longest side that is read, pixels.
 const LONGEST_SIDE: u32 = 16_384;
 
-/// Encoding of light in values.
+/// Relation of pixel values to light.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Encoding {
     /// Display values (sRGB).
     Display,
-    /// In proportion to light.
+    /// Values proportional to light.
     Linear,
 }
 
-/// One image: red, green and blue as stored, and coverage where the file has it.
+/// One image: colours, and coverage where the file has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
-    /// Colours times coverage.
+    /// Red, green and blue times coverage; `NaN` where the file holds no finite number.
     pub colour: Raster,
     /// Coverage of each pixel, 0 to 1.
     pub coverage: Option<Vec<f32>>,
@@ -59,7 +59,8 @@ const DAMAGED: &str = "write the file anew, or leave its frame out";
 /// Columns and rows of an image, from its header.
 ///
 /// # Errors
-/// [`CaptureError`] when the file is not there, no image, or larger than is read.
+/// [`CaptureError`] when the file is missing or no image, has a side of more than 16384 pixels, or states more pixels
+/// than its bytes can hold.
 pub fn size_px(path: &Path) -> Result<[usize; 2], CaptureError> {
     let size = reader(path)?.into_dimensions();
     let (width, height) =
@@ -79,12 +80,12 @@ pub fn size_px(path: &Path) -> Result<[usize; 2], CaptureError> {
     Ok([width as usize, height as usize])
 }
 
-/// Reads an image whose header has been read.
+/// Reads an image whose header [`size_px`] has checked.
 ///
 /// Colours of PNG are multiplied with their coverage; those of EXR are stored that way (OpenEXR, "Interpreting alpha").
 ///
 /// # Errors
-/// [`CaptureError`] when the file is not there or damaged.
+/// [`CaptureError`] when the file is missing or damaged.
 pub fn read(path: &Path) -> Result<Picture, CaptureError> {
     let mut reader = reader(path)?;
     let linear = reader.format() == Some(ImageFormat::OpenExr);

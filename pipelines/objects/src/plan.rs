@@ -14,28 +14,28 @@ use heliosplat_session::Session;
 
 /// Least gain of a part on held-out images, decibels, in addition to its significance (docs/lab/objects.md).
 const LEAST_GAIN_DB: f64 = 0.05;
-/// Least gain of gloss if it needs a model of another kind, which takes four times as long: a model of material gains a little
-/// even on objects without gloss.
+/// Least gain of gloss that needs a model of another kind, decibels. That model takes four times as long, and gains a
+/// little even on objects without gloss.
 const LEAST_GAIN_OF_KIND_DB: f64 = 0.5;
 
 /// Result of short fits with and without a part.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Trial {
-    /// The part.
+    /// Name of the part: `gloss` or `scattering`.
     pub part: String,
-    /// PSNR on the images kept aside without it, decibels.
+    /// PSNR on held-out images without the part, decibels.
     pub without_db: f64,
-    /// PSNR with the component, dB.
+    /// PSNR on held-out images with the part, decibels.
     pub with_db: f64,
-    /// Gain by pieces; `None` of too few pieces.
+    /// Gain over the pieces of held-out images; `None` for too few pieces.
     pub gain: Option<Gain>,
-    /// Least gain, decibels.
+    /// Least gain for which the part is included, decibels.
     pub least_db: f64,
-    /// Time of a step with it over that of one without.
+    /// Time of a step with the part over that of a step without.
     pub step_time_ratio: f64,
-    /// Numbers that it adds to each Gaussian.
+    /// Numbers that the part adds to each Gaussian.
     pub numbers_per_gaussian: i64,
-    /// True if the model has the part.
+    /// True if the part is included in the model.
     pub taken: bool,
 }
 
@@ -44,11 +44,11 @@ pub struct Trial {
 pub struct Plan {
     /// The kind; never [`ModelKind::Auto`].
     pub kind: ModelKind,
-    /// Its parts.
+    /// Optional parts of the model.
     pub parts: Parts,
-    /// The reason, in words.
+    /// Reason for the choice, in words.
     pub reason: String,
-    /// The short fits that decided.
+    /// Results of the short fits.
     pub trials: Vec<Trial>,
 }
 
@@ -62,7 +62,7 @@ fn lights_move(capture: &Capture) -> bool {
     lights.iter().all(Option::is_some) && lights.iter().any(|light| *light != first)
 }
 
-/// Expected kind of a capture, from its files alone.
+/// Kind of model to expect from the files of a capture alone, and the reason in words.
 pub fn outlook(capture: &Capture) -> (ModelKind, &'static str) {
     if lights_move(capture) {
         return (
@@ -88,8 +88,8 @@ struct Trials<'a> {
 }
 
 impl Trials<'_> {
-    /// Fits `with`, and keeps it where it is better than the best so far. Where `also` is given, it
-    /// differs from `with` only in the part, and `with` must be better than it too.
+    /// Fits `with`, and keeps it where it is better than the best so far. `with` must also be better than `also`, a
+    /// model of its kind without the part.
     fn compare(&mut self, part: &str, with: Candidate, also: Option<Candidate>) -> Result<(), TrainingError> {
         let fit = |(kind, parts): Candidate| trial::fit(self.capture, self.config, kind, parts);
         let fitted = fit(with)?;

@@ -18,12 +18,12 @@ use std::f32::consts::PI;
 
 /// Side of the cube outside which Gaussians are pruned, relative to the cube that the cameras see.
 const SLACK: f32 = 1.1;
-/// Opacity of the Gaussians at the start: half, for a hull is only about where the surface is.
+/// Initial opacity of the Gaussians: half, because the hull is only near the surface.
 const OPACITY: f32 = 0.5;
 /// Weight of the agreement of normals with those of the depth under one lamp at a time; a high one keeps highlights in
 /// one piece (docs/lab/objects.md).
 const OLAT_NORMALS: f32 = 0.3;
-/// Weight of normals in constant surroundings.
+/// Weight of the agreement of normals with those of the depth, in constant surroundings.
 const REFLECTIVE_NORMALS: f32 = 0.05;
 /// Normals of depths are compared over steps of this many pixels at most.
 const EDGE_PX: f64 = 6.0;
@@ -99,7 +99,7 @@ fn begin(
     let model = Olat::new(options.clone());
     let mut gaussians = start::gaussians(start, OPACITY, model.feature_groups());
     for (i, seed) in start.seeds.iter().enumerate() {
-        // Seen in the median under slanting light and often in shadow.
+        // The median colour is raised: it is seen under slanting light and often in shadow.
         let colour = seed.colour.map(|c| (2.0 * PI * c).clamp(0.05, 3.0));
         model.paint(&mut gaussians, i, colour, frame_of(seed));
     }
@@ -149,13 +149,13 @@ fn frame_of(seed: &Seed) -> [f32; 4] {
 
 /// Inputs of a training.
 pub(super) struct FitInput {
-    /// The model.
+    /// Kind of model with its options.
     pub(super) kind: Kind,
     /// Conversion of the images.
     pub(super) preparation: Preparation,
     /// Initial parameters.
     pub(super) parameters: Parameters,
-    /// Initialisation of the Gaussians, in words.
+    /// Place of the initial Gaussians, in words.
     pub(super) how: &'static str,
 }
 
@@ -173,7 +173,7 @@ pub(super) fn input(capture: &Capture, kind: ModelKind, config: &ObjectConfig, f
     }
 }
 
-/// Gaussians that leave this are pruned.
+/// Opposite corners of the cube outside which Gaussians are pruned, in the frame of the model.
 pub(super) fn bounds(capture: &Capture) -> (Vec3, Vec3) {
     let reach = Vec3::splat(SLACK * capture.half_size as f32);
     (-reach, reach)

@@ -6,7 +6,7 @@ use crate::plan::Plan;
 use heliosplat_fitting::run_folder::{Input, RUN, RunError, read};
 use std::path::{Path, PathBuf};
 
-/// `run.toml`.
+/// Content of `run.toml`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ObjectRun {
     /// Version of the program.
@@ -14,13 +14,13 @@ pub struct ObjectRun {
     /// Build of the program; absent in runs of versions that did not state it.
     #[serde(default)]
     pub build: String,
-    /// Preset the configuration started from.
+    /// Name of the preset that the configuration started from.
     pub preset: String,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// The capture.
+    /// Path of the capture.
     pub capture: PathBuf,
-    /// The images, hashed.
+    /// The images with their hashes.
     pub inputs: Vec<Input>,
     /// The resolved configuration.
     pub config: ObjectConfig,
@@ -39,20 +39,20 @@ pub fn save(folder: &Path, run: &ObjectRun, model: &ObjectModel) -> Result<(), R
     model::save(folder, &[(RUN, &text)], model)
 }
 
-/// The `run.toml` of a run.
+/// Reads the `run.toml` of the run in `folder`.
 ///
 /// # Errors
-/// When it is missing or damaged.
+/// When the file is missing or damaged.
 pub fn load_run(folder: &Path) -> Result<ObjectRun, RunError> {
     let path = folder.join("run.toml");
     ObjectRun::parse(&read(&path)?).map_err(|e| damaged(&path, e))
 }
 
 impl ObjectRun {
-    /// Content of a `run.toml`.
+    /// Parses the text of a `run.toml`.
     ///
     /// # Errors
-    /// A sentence with the fault.
+    /// A sentence with the fault of the TOML.
     pub fn parse(text: &str) -> Result<Self, String> {
         toml::from_str(text).map_err(|e| e.message().to_owned())
     }

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 const COVERED: f32 = 0.3;
 /// Cells along a side of the grid that is tried first.
 const FIRST_GRID: usize = 64;
-/// Most and fewest cells along a side.
+/// Fewest and most cells along a side.
 const GRID: (usize, usize) = (16, 192);
 /// Radius in cells over which the outward direction is estimated.
 const REACH: i64 = 2;
@@ -27,22 +27,22 @@ const SPREAD: f64 = 0.6;
 /// A seed of a Gaussian: its centre in the frame of the model, and the colour of the images there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seed {
-    /// Centre.
+    /// Centre in the frame of the model, in the capture's units.
     pub position: Vec3,
-    /// Median colour over the images that show it.
+    /// Median colour over the images that show the centre; 0.5 where none does.
     pub colour: [f32; 3],
     /// Unit vector out of the hull; zero where there is none.
     pub normal: Vec3,
 }
 
-/// Gaussians at the start.
+/// Initial Gaussians of a training.
 #[derive(Debug, Clone)]
 pub struct Start {
-    /// Initial positions.
+    /// Centres, colours and normals of the Gaussians.
     pub seeds: Vec<Seed>,
-    /// Standard deviation of each.
+    /// Standard deviation of each Gaussian along all axes, in the capture's units.
     pub spread: f32,
-    /// The method, in words.
+    /// Place of the Gaussians, in words.
     pub how: &'static str,
 }
 
@@ -65,7 +65,8 @@ impl Sight<'_> {
     }
 }
 
-/// Initial positions of Gaussians, for a cube of half side `half_size` around `centre`.
+/// Places Gaussians in the cube of half side `half_size` around `centre`, in the capture's units: on the visual hull
+/// where all frames have coverage, else at random.
 pub fn start(frames: &[&Frame], centre: DVec3, half_size: f64, options: &StartOptions, seed: u64) -> Start {
     let sights: Vec<Sight> = frames
         .iter()
@@ -205,7 +206,8 @@ fn colour_at(sights: &[Sight], point: Vec3) -> [f32; 3] {
     seen.map(|mut values| upper_median(&mut values).unwrap_or(0.5))
 }
 
-/// Round Gaussians at the seeds, with the groups of a model that are all zero.
+/// Table of round Gaussians at the seeds with one `opacity`, limited to 0.01..0.99. The groups `features` of a model
+/// are added, all zero.
 pub fn gaussians(start: &Start, opacity: f32, features: Vec<GroupSpec>) -> Table {
     let mut groups = core_groups();
     groups.extend(features);

@@ -17,16 +17,16 @@ use std::path::Path;
 /// A lamp and its colour, relative to a lamp of strength one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lamp {
-    /// Its direction or position.
+    /// Direction or position of the lamp.
     pub light: Light,
-    /// Red, green and blue.
+    /// Red, green and blue, relative to a lamp of strength one.
     pub colour: [f32; 3],
 }
 
-/// Reads an image of all directions; display values become linear ones.
+/// Reads a panoramic image as linear radiance: display values are decoded, missing and negative ones become zero.
 ///
 /// # Errors
-/// [`CaptureError`] when the file is no image.
+/// [`CaptureError`] when the file is missing, damaged or no image.
 pub fn read(path: &Path) -> Result<Raster, CaptureError> {
     pixels::size_px(path)?;
     let picture = pixels::read(path)?;
@@ -47,7 +47,7 @@ fn direction(col: f64, row: f64, width: usize, height: usize) -> DVec3 {
     DVec3::new(down.sin() * azimuth.cos(), down.sin() * azimuth.sin(), down.cos())
 }
 
-/// `b` of base two: its digits behind the point, mirrored.
+/// Radical inverse of `b` in base two: its digits mirrored behind the point, 0 to 1.
 fn mirrored(b: u32) -> f64 {
     f64::from(b.reverse_bits()) / 2f64.powi(32)
 }

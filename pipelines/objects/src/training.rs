@@ -27,11 +27,11 @@ use std::path::Path;
 /// Bytes that a Gaussian takes in training: its parameters, their gradients, Adam's two memories, and its splat.
 const BYTES_PER_GAUSSIAN: f64 = 4.0 * 4.0 * 59.0 + 500.0;
 
-/// The model of a capture and its `run.toml`.
+/// A trained model and its `run.toml`.
 pub struct TrainedObject {
-    /// The model.
+    /// The trained model.
     pub model: ObjectModel,
-    /// Its `run.toml`.
+    /// Content of `run.toml`.
     pub run: ObjectRun,
 }
 
@@ -47,7 +47,8 @@ pub fn open(path: &Path, memory: Option<u64>) -> Result<Capture, ObjectError> {
     Ok(capture)
 }
 
-/// Trains a model of the capture in the folder `path` and writes its run.
+/// Trains a model of the capture at `path` and writes its run into the folder of the request. A request that resumes or
+/// updates gets the metrics of this very training, if the folder holds it finished.
 ///
 /// # Errors
 /// When the capture or the configuration is invalid, a limit is exceeded, the user stops the training, or a file cannot

@@ -27,23 +27,23 @@ enum Intrinsics {
     Angle(f64),
 }
 
-/// A point light of a frame.
+/// A point light with its intensity.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PointLight {
-    /// Its position in the frame of the cameras.
+    /// Position in the frame of the cameras, in the capture's units.
     pub position: DVec3,
-    /// Its intensity per colour, in the capture's own units; `None` where the files do not state it.
+    /// Intensity per colour, in the capture's own units; `None` where the files do not state it.
     pub intensity: Option<[f64; 3]>,
 }
 
 /// One image as the file describes it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameSpec {
-    /// Its name: the path as written, without extension.
+    /// Name: the path as written, without extension.
     pub name: String,
-    /// Its file.
+    /// Path of the image file.
     pub path: PathBuf,
-    /// Its light, if stated.
+    /// Light, if stated.
     pub light: Option<PointLight>,
     pinhole: Pinhole,
     intrinsics: Intrinsics,
@@ -51,8 +51,11 @@ pub struct FrameSpec {
 }
 
 impl FrameSpec {
-    /// The camera of the frame, whose image has `size` pixels; intrinsics of an image declared larger or smaller by one
-    /// factor are scaled. A sentence with the fault when they do not fit.
+    /// Camera of the frame, whose image has `size` pixels (columns, rows). Intrinsics for an image declared in another
+    /// size are scaled.
+    ///
+    /// # Errors
+    /// A sentence with the fault when the proportions of the declared size differ by more than 2 %.
     pub fn camera(&self, size: [usize; 2]) -> Result<Pinhole, String> {
         let [width, height] = size.map(|n| n as f64);
         let (mut focal, principal) = match self.intrinsics {
@@ -80,7 +83,7 @@ impl FrameSpec {
     }
 }
 
-/// Reads one `transforms` file.
+/// Reads one `transforms` file and finds the images of its frames.
 ///
 /// # Errors
 /// [`CaptureError`] naming the file, and the frame where one is at fault.
@@ -92,7 +95,7 @@ pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
 /// The frames listed in the file at `path` with the content `text`; images are searched relative to it.
 ///
 /// # Errors
-/// As [`read`].
+/// [`CaptureError`] with the file, and the frame where one is at fault.
 pub fn parse(path: &Path, text: &[u8]) -> Result<Vec<FrameSpec>, CaptureError> {
     let value: Value = serde_json::from_slice(text).map_err(|error| {
         let remedy = "write the file anew; JSON has no NaN and no infinity";

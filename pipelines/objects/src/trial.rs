@@ -1,6 +1,6 @@
-//! Short fits of a capture, at half size and with few Gaussians, scored on images of training that they do not see.
+//! Short fits of a capture, at half size and with few Gaussians, scored on held-out training images.
 //!
-//! Every image kept aside is cut into four pieces; two fits are compared piece by piece ([`super::paired`]).
+//! Every held-out image is cut into four pieces; two fits are compared piece by piece ([`super::paired`]).
 
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig, Parts};
@@ -23,23 +23,23 @@ const SMALLER: usize = 2;
 /// Most Gaussians that a short fit starts from: enough for half-size images, whose steps are many and cheap
 /// (docs/lab/objects.md).
 const MOST_GAUSSIANS: usize = 1500;
-/// Pieces of an image kept aside, along each side.
+/// Pieces of a held-out image along each side.
 const PIECES: usize = 2;
 
 /// Result of a short fit.
 pub(super) struct Scored {
-    /// Squared error of each piece kept aside, summed over its values.
+    /// Squared error of each held-out piece, summed over its values.
     pieces: Vec<f64>,
     /// PSNR on all pieces, decibels.
     pub(super) psnr_db: f64,
-    /// Seconds of a step.
+    /// Mean time of a step, seconds.
     pub(super) step_s: f64,
     /// Numbers that describe a Gaussian.
     pub(super) numbers_per_gaussian: usize,
 }
 
 impl Scored {
-    /// Gain of this fit over one `without` a part; `None` of too few pieces.
+    /// Gain of this fit over one `without` a part; `None` for too few pieces.
     pub(super) fn gain_over(&self, without: &Self) -> Option<Gain> {
         let pairs = without.pieces.iter().zip(&self.pieces);
         let pieces: Vec<Piece> = pairs.map(|(&without, &with)| Piece { without, with }).collect();
@@ -63,7 +63,7 @@ fn smaller(view: View) -> View {
 /// A short fit of a kind of model with these parts.
 ///
 /// # Errors
-/// [`TrainingError`] when it fails.
+/// [`TrainingError`] when the training fails.
 pub(super) fn fit(
     capture: &Capture,
     config: &ObjectConfig,

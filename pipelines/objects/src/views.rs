@@ -34,7 +34,7 @@ pub fn background(capture: &Capture, wanted: Background) -> ([f32; 3], &'static 
     }
 }
 
-/// The colour that all images have along their borders.
+/// Median colour along the borders of all images; `None` where the borders have several colours.
 fn border(capture: &Capture) -> Option<[f32; 3]> {
     let mut colour = [0.0; 3];
     for (k, colour) in colour.iter_mut().enumerate() {
@@ -59,18 +59,18 @@ fn border(capture: &Capture) -> Option<[f32; 3]> {
 /// Conversion of images to training data.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Preparation {
-    /// Background of the object.
+    /// Colour behind the object: red, green and blue.
     pub background: [f32; 3],
-    /// True if coverage becomes a fourth band.
+    /// True if coverage becomes the fourth band of an image.
     pub coverage: bool,
     /// True if display values become linear ones.
     pub linear: bool,
-    /// Intensity of a light that counts as one, where lights count.
+    /// Intensity per colour of a light of strength one, where lights are modelled and have intensities.
     pub unit_light: Option<[f64; 3]>,
 }
 
 impl Preparation {
-    /// An image in front of the background.
+    /// Image in front of the background: red, green and blue, then coverage if `coverage` is set.
     pub fn image(&self, picture: &Picture) -> Raster {
         let mut out = picture.colour.clone();
         let decode = self.linear && picture.encoding == Encoding::Display;
@@ -93,7 +93,7 @@ impl Preparation {
         out
     }
 
-    /// Strength of a frame's light per colour, relative to one; one where it is unknown.
+    /// Strength of a light per colour, relative to `unit_light`; one where an intensity is unknown.
     pub fn strength(&self, light: Option<&PointLight>) -> [f32; 3] {
         let known = self.unit_light.zip(light.and_then(|light| light.intensity));
         known.map_or([1.0; 3], |(unit, own)| {

@@ -1,7 +1,7 @@
 //! Shared parts of all HTML pages and SVG pictures: the document, one stylesheet, inline pictures, charts.
 //!
-//! A page is one file that fetches nothing, readable on a phone, in light and dark mode. Text goes through [`maud`], which
-//! escapes it by type; only the stylesheet is inserted as it is.
+//! A page is one file that loads nothing from the network, readable on a phone, in light and dark mode. Text goes
+//! through [`maud`], which escapes it by type; only the stylesheet is inserted as it is.
 
 pub mod calibration;
 pub mod chart;
@@ -18,16 +18,16 @@ use std::path::Path;
 /// Bytes of a mebibyte.
 pub const MIB: f64 = 1_048_576.0;
 
-/// Name of the file with the metrics of a mosaic, which tells the folder of one.
+/// Name of the file with the metrics of a mosaic; a folder that holds it is a mosaic's.
 pub const MOSAIC_FILE: &str = "mosaic.json";
 
-/// Longest side of a picture that is read, pixels, and the most memory it may take.
+/// Longest side of a picture that is read, pixels, and most memory for it, bytes.
 const SIDE_MAX: u32 = 60_000;
 const BYTES_MAX: u64 = 400 << 20;
 
 const STYLE: &str = include_str!("page/style.css");
 
-/// An HTML document with this title, which is also its heading.
+/// HTML document with this title, which is also its heading.
 pub fn document(title: &str, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
@@ -47,7 +47,7 @@ pub fn document(title: &str, body: &Markup) -> String {
     without_control_characters(page.into_string() + "\n")
 }
 
-/// A section with its heading; nothing where its body is empty.
+/// Section with its heading; empty if its body is empty.
 pub fn section(heading: &str, body: Markup) -> Markup {
     if body.0.is_empty() {
         return body;
@@ -55,12 +55,13 @@ pub fn section(heading: &str, body: Markup) -> Markup {
     html! { h2 { (heading) } (body) }
 }
 
-/// A number with so many digits after the point; empty where it is not known.
+/// Formats a number with `digits` digits after the point; empty for an unknown number.
 pub fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(String::new, |value| format!("{value:.digits$}"))
 }
 
-/// A text as a cell of CSV. Programs for tables take one that begins with `=` and the like for a formula: it gets an apostrophe before it.
+/// Quotes a text as a cell of CSV. Spreadsheets evaluate a cell that begins with `=`, `+`, `-`, `@` or a tab as a
+/// formula; such a text gets a leading apostrophe.
 pub fn csv_text(text: &str) -> String {
     let mark = if text.starts_with(['=', '+', '-', '@', '\t']) {
         "'"
@@ -70,12 +71,12 @@ pub fn csv_text(text: &str) -> String {
     format!("\"{mark}{}\"", text.replace('"', "\"\""))
 }
 
-/// HTML and XML allow no control characters besides line breaks and tabs. One that came with a file name is replaced.
+/// Replaces control characters, which may come from a file name. HTML and XML allow only line breaks and tabs.
 pub(crate) fn without_control_characters(text: String) -> String {
     heliosplat_session::log::printable(&text)
 }
 
-/// A picture, if it is there and of a size that can be shown.
+/// Reads a picture; `None` if it is absent, damaged or too large.
 pub fn picture_of(path: &Path) -> Option<RgbImage> {
     if !path.is_file() {
         return None;
@@ -89,7 +90,7 @@ pub fn picture_of(path: &Path) -> Option<RgbImage> {
     reader.decode().ok().map(|picture| picture.to_rgb8())
 }
 
-/// A picture as a `data:` address, JPEG, at most `width` pixels wide; `None` where it cannot be encoded.
+/// Encodes a picture as a JPEG of at most `width` pixels width in a `data:` address; `None` if encoding fails.
 pub fn inline_picture(picture: RgbImage, width: u32) -> Option<String> {
     const QUALITY: u8 = 82;
     let picture = DynamicImage::ImageRgb8(picture);
@@ -105,7 +106,7 @@ pub fn inline_picture(picture: RgbImage, width: u32) -> Option<String> {
     Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }
 
-/// A number without trailing zeros, three significant digits or all before the point.
+/// Formats a number with three significant digits, or all digits before the point, without trailing zeros.
 pub fn plain(value: f64) -> String {
     if value == 0.0 {
         return "0".to_owned();

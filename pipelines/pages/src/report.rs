@@ -1,6 +1,6 @@
-//! `report.html`: a run, or a mosaic of many, on one page that fetches nothing.
+//! `report.html`: a run or a mosaic on one page that loads nothing from the network.
 //!
-//! It is made from the files in the folder alone, so that it can be made again at any time, without the scene.
+//! The page is made from the files in the folder, so that it can be made again without the scene.
 
 mod change;
 pub mod mosaic;
@@ -24,22 +24,23 @@ use serde::Deserialize;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Name of the page.
+/// Name of the page in the folder of a run or of a mosaic.
 pub const FILE: &str = "report.html";
 /// Name of the calibration plot of runs with truth.
 const CALIBRATION: &str = "calibration.svg";
 
-/// The stage of a run in which its pages are written.
+/// Stage of a run that writes its pages, in its timeline.
 const PAGES: &str = "report";
 
-/// A folder of pictures with its metrics.
+/// Folder with pictures and metrics.
 struct Folder {
     path: PathBuf,
     metrics: Value,
 }
 
 impl Folder {
-    /// A folder whose metrics are in the file of this name. It may be absent: a run that was stopped early has none.
+    /// Reads the metrics of a folder from the file of this name; null if it is absent, as in a run that was stopped
+    /// early.
     fn read(path: &Path, metrics: &str) -> Result<Self, RunError> {
         let file = path.join(metrics);
         let metrics = match heliosplat_raster::bounded::read_text(&file) {
@@ -55,7 +56,7 @@ impl Folder {
         })
     }
 
-    /// A picture, if it is there and of a size that can be shown.
+    /// Reads a picture; `None` if it is absent, damaged or too large.
     fn picture(&self, name: &str) -> Option<RgbImage> {
         picture_of(&self.path.join(name))
     }
@@ -64,7 +65,7 @@ impl Folder {
         self.metrics.pointer(pointer).and_then(Value::as_f64)
     }
 
-    /// Seconds of the run before its pages were written: what these can say, then and again later.
+    /// Seconds of the run without its pages, so that a page that is made again states the same time.
     fn seconds(&self) -> Option<f64> {
         Some(self.number("/seconds")? - pages_s(&self.metrics))
     }
@@ -75,14 +76,14 @@ impl Folder {
         list.map_or(&[], Vec::as_slice)
     }
 
-    /// Its own name.
+    /// Name of the folder.
     fn name(&self) -> String {
         let whole = std::fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone());
         whole.file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
 }
 
-/// The folder of a run of a satellite scene.
+/// Files of a run of a satellite scene.
 struct Contents {
     folder: Folder,
     run: RunFile,
@@ -99,22 +100,22 @@ impl Contents {
     }
 }
 
-/// Writes the pages of a run of a satellite scene: `sun.html`, then `report.html`, which links it, and `calibration.svg` where its DSM states
-/// standard deviations and was compared with truth; returns the path of the report.
+/// Writes the pages of a run of a satellite scene: `sun.html`, then `report.html`, which links to it, and
+/// `calibration.svg` if its DSM states standard deviations and was compared with truth. Returns the path of the report.
 ///
 /// # Errors
 /// When the folder holds no run, or a file cannot be written.
 pub fn write(folder: &Path) -> Result<PathBuf, ViewError> {
     let contents = Contents::read(folder)?;
     let shown = view::into_folder(folder, view::of_run(folder))?;
-    // Last: where it is, the pictures are complete.
+    // Written last, so that its presence means that the other pages are complete.
     Ok(save(&folder.join(FILE), &page(&contents, shown.as_ref())?)?)
 }
 
-/// Writes the page of a surface model in a file, whatever its source, beside it: `x.html` of `x.tif`; returns its path.
+/// Writes the page of a surface model of any source beside its file, `x.html` for `x.tif`, and returns its path.
 ///
 /// # Errors
-/// When the file cannot be read, or the page cannot be written.
+/// When the file cannot be read or has no coordinate reference system, or the page cannot be written.
 pub fn write_of_file(dsm: &Path) -> Result<PathBuf, ViewError> {
     let mut exhibit = view::of_files(dsm, None)?;
     exhibit.layers = view::companions(dsm, &exhibit)?;
@@ -129,14 +130,15 @@ pub fn write_of_file(dsm: &Path) -> Result<PathBuf, ViewError> {
     Ok(save(&dsm.with_extension("html"), &page_of(&exhibit.title, &body))?)
 }
 
-/// Seconds that the pages took, as far as `metrics` say.
+/// Seconds in which the pages were written, from the timeline in `metrics`; 0 if it has none.
 fn pages_s(metrics: &Value) -> f64 {
     let stages = metrics["timeline"].as_array().map_or(&[][..], Vec::as_slice);
     let pages = stages.iter().filter(|stage| stage["stage"] == PAGES);
     pages.filter_map(|stage| stage["wall_s"].as_f64()).sum()
 }
 
-/// Writes the pages of a run that was trained now by `write`, and adds the time that they took to its `metrics`, in memory and in its folder.
+/// Calls `write` to write the pages of a run that was just trained, and adds their time to its `metrics`, in memory
+/// and in `folder`.
 ///
 /// # Errors
 /// The error of `write`, and an error if the metrics cannot be written.
@@ -159,7 +161,7 @@ pub fn add_report<T, E: From<RunError>>(
     Ok(save_metrics(folder, metrics)?)
 }
 
-/// Writes the pages of a finished run that has none because it was killed after its metrics were written.
+/// Writes the pages of a finished run without a report, which was killed after its metrics were written.
 ///
 /// # Errors
 /// When the folder holds no run, or the page cannot be written.
@@ -179,12 +181,12 @@ fn save(path: &Path, page: &str) -> Result<PathBuf, RunError> {
     Ok(path.to_owned())
 }
 
-/// A page of some sections.
+/// Document of some sections.
 fn page_of(title: &str, sections: &[Markup]) -> String {
     document(title, &html! { @for section in sections { (section) } })
 }
 
-/// The page of a run; also draws the calibration plot into its folder.
+/// Report of a run; also writes the calibration plot into its folder.
 fn page(run: &Contents, shown: Option<&Exhibit>) -> Result<String, RunError> {
     let folder = &run.folder;
     let uncertainty = Uncertainty::deserialize(&folder.metrics["dsm"]["uncertainty"]).ok();

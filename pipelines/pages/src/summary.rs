@@ -1,4 +1,4 @@
-//! The results of a batch: tables for people (terminal, HTML) and for machines (CSV, JSON).
+//! Results of a batch as tables: for the terminal, HTML, CSV and JSON.
 
 use crate::page::{self, MIB, document};
 use crate::report::FILE as REPORT;
@@ -12,20 +12,20 @@ use std::fmt::Write;
 pub enum State {
     /// Not begun, or interrupted.
     Pending,
-    /// Running now.
+    /// Running.
     Running,
-    /// Finished now.
+    /// Finished; in a running batch, by this call of the program.
     Done,
-    /// Finished before.
+    /// Finished by an earlier call.
     Skipped,
-    /// Failed; its log says why.
+    /// Failed; its log states the reason.
     Failed,
     /// A unit that it depends on failed.
     Blocked,
 }
 
 impl State {
-    /// Its name.
+    /// Name in the tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pending => "pending",
@@ -47,48 +47,48 @@ impl State {
         matches!(self, Self::Failed | Self::Blocked)
     }
 
-    /// True if the status will not change any more.
+    /// True if the status will not change again.
     pub fn is_final(self) -> bool {
         self.is_done() || self.is_lost()
     }
 }
 
-/// A unit in the table.
+/// Row of a unit in the tables.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Row {
-    /// The unit.
+    /// Name of the unit.
     pub unit: String,
-    /// `tile`, `mosaic`, or `refused` where the scene cannot be used.
+    /// `adjust`, `tile`, `mosaic`, or `refused` if the scene cannot be used.
     pub kind: &'static str,
     /// Status.
     pub state: State,
-    /// Seconds it took, pauses not counted.
+    /// Duration without pauses, seconds.
     pub seconds: Option<f64>,
-    /// Most memory it used, bytes.
+    /// Peak memory, bytes.
     pub peak_rss_bytes: Option<u64>,
-    /// Memory it was expected to use, MiB.
+    /// Estimated peak memory, MiB.
     pub mem_mb: u64,
-    /// Mean absolute error of its surface model where there is truth, metres, protocol `raw`.
+    /// Mean absolute error of the surface model against truth, if there is one, metres, protocol `raw`.
     pub mae_m: Option<f64>,
-    /// Share of it that is known.
+    /// Share of the surface model's cells that are known, 0 to 1.
     pub completeness: Option<f64>,
-    /// Its log.
+    /// Path of the log.
     pub log: String,
-    /// Why it failed.
+    /// Reason of a failure or block.
     pub error: Option<String>,
-    /// Metrics of the unit.
+    /// Metrics of the unit; null until it is finished.
     pub metrics: Value,
 }
 
 impl Row {
-    /// Notes that it failed.
+    /// Marks the unit as failed, with the reason.
     pub fn fail(&mut self, error: String) {
         self.state = State::Failed;
         self.error = Some(error);
     }
 }
 
-/// All rows, and how many stand where.
+/// All rows, with the number of units in each state.
 pub fn json(rows: &[Row]) -> Value {
     let count = |state: State| rows.iter().filter(|row| row.state == state).count();
     json!({
@@ -101,7 +101,7 @@ pub fn json(rows: &[Row]) -> Value {
     })
 }
 
-/// The rows as a table of text.
+/// Rows as CSV, with a header line; unknown values are empty.
 pub fn csv(rows: &[Row]) -> String {
     let mut text = "unit,kind,state,seconds,peak_mib,estimated_mib,mae_m,completeness,log,error\n".to_owned();
     for row in rows {
@@ -121,7 +121,7 @@ pub fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// Seconds, most memory in MiB, mean absolute error, completeness; empty where not known.
+/// Seconds, peak memory in MiB, mean absolute error in metres, and completeness; empty if unknown.
 fn numbers(row: &Row) -> [String; 4] {
     [
         page::number(row.seconds, 1),
@@ -131,7 +131,7 @@ fn numbers(row: &Row) -> [String; 4] {
     ]
 }
 
-/// The table for people on a terminal.
+/// Rows as a table of aligned text for a terminal.
 pub fn table(rows: &[Row]) -> String {
     let width = rows.iter().map(|row| row.unit.len()).max().unwrap_or(4);
     let mut text = format!(
@@ -153,7 +153,7 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-/// `summary.html`.
+/// Document `summary.html`: counts, maps of the tiles, table of the units, height steps at tile boundaries.
 pub fn page(rows: &[Row]) -> String {
     let count = |pick: &dyn Fn(State) -> bool| rows.iter().filter(|row| pick(row.state)).count();
     let body = html! {
@@ -187,7 +187,7 @@ pub fn page(rows: &[Row]) -> String {
     document("Batch", &body)
 }
 
-/// Address of a finished unit's page, seen from the batch's folder.
+/// Address of a finished unit's page, relative to the folder of the batch.
 fn address(row: &Row) -> Option<String> {
     let within = match row.kind {
         "mosaic" => "",
@@ -206,14 +206,14 @@ fn linked(row: &Row) -> Markup {
     }
 }
 
-/// Row and column of a tile: `.../tile-r3c0`.
+/// Path before the tile's name, row and column of a tile, from `.../tile-r3c0`.
 fn place(unit: &str) -> Option<(&str, u32, u32)> {
     let (mosaic, tile) = unit.rsplit_once("/tile-r")?;
     let (row, column) = tile.split_once('c')?;
     Some((mosaic, row.parse().ok()?, column.parse().ok()?))
 }
 
-/// Each mosaic's tiles in their places, coloured by state, with links to their pages.
+/// Maps of each mosaic's tiles, coloured by state, with links to their pages.
 fn tile_maps(rows: &[Row]) -> Markup {
     const SIDE: u32 = 28;
     let placed: Vec<_> = rows.iter().filter_map(|row| Some((place(&row.unit)?, row))).collect();

@@ -1,11 +1,11 @@
-//! `sun.html`: a surface in one file that opens by a double click, with a sun that can be moved.
+//! `sun.html`: a surface under a movable sun, in one file that a browser opens without a server.
 //!
-//! The page holds the heights, the albedo and the light of a model, and casts the shadows itself (`page/sweep.js`). It fetches nothing:
-//! its content security policy forbids it. [`of_run()`], [`of_mosaic()`] and [`of_files()`] gather an [`Exhibit`]; `pack` makes it small,
-//! and `document` joins it with the sources of the page.
+//! The page holds the heights, the albedo and the light of a model, and computes the shadows itself (`page/sweep.js`).
+//! Its content security policy forbids network access. [`of_run()`], [`of_mosaic()`] and [`of_files()`] gather an
+//! [`Exhibit`]; `pack` compresses it, and `document` joins it with the sources of the page.
 //!
-//! Limits: the page knows heights, not what stands below them, so bridges and eaves cast shadows down to the ground. At most 1024² cells
-//! are shown; a larger surface is averaged down.
+//! Limits: the page has one height per cell, so bridges and eaves cast shadows as if solid down to the ground. At most
+//! 1024² cells are shown; a larger surface is averaged down.
 
 mod document;
 mod exhibit;
@@ -35,37 +35,37 @@ use std::path::{Path, PathBuf};
 /// Name of the page in the folder of a run or of a mosaic.
 pub const FILE: &str = "sun.html";
 
-/// Why there is no page.
+/// Failure to make a page.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
-    /// A run of an object.
+    /// Run on an object, which has no ground and no sun.
     #[error("{}: a run on an object has no ground and no sun; `heliosplat export` and `relight` show it", .0.display())]
     Object(PathBuf),
-    /// A surface without a known height.
+    /// Surface without a known height.
     #[error("{what}: no height of the surface is known, so there is nothing to show")]
     Nothing {
-        /// The surface.
+        /// Path or title of the surface.
         what: String,
     },
-    /// A file that is not where it should lie.
+    /// Raster without a coordinate reference system.
     #[error("{}: says no coordinate system; the page needs one to place the sun", .0.display())]
     NoCrs(PathBuf),
-    /// A run that cannot be used.
+    /// Unusable run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A model that cannot be lit.
+    /// Model that cannot be relit.
     #[error(transparent)]
     Relight(#[from] RelightError),
-    /// A raster that cannot be used.
+    /// Raster that cannot be read, or page that cannot be written.
     #[error(transparent)]
     Raster(#[from] RasterError),
-    /// A raster that cannot be brought onto the grid.
+    /// Raster that cannot be resampled onto the grid.
     #[error(transparent)]
     Evaluate(#[from] EvaluateError),
 }
 
 impl ViewError {
-    /// True if the user's input is at fault, rather than the machine.
+    /// True if the input of the user is the cause, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
             Self::Object(_) | Self::Nothing { .. } | Self::NoCrs(_) => true,
@@ -77,21 +77,21 @@ impl ViewError {
     }
 }
 
-/// A page that was written.
+/// Page that was written.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Written {
     /// Path of the file.
     pub path: PathBuf,
-    /// Its size, bytes.
+    /// File size, bytes.
     pub bytes: usize,
-    /// Columns and rows of what it shows.
+    /// Columns and rows of the grid shown.
     pub size: (usize, usize),
 }
 
 /// Exhibit of the run or of the batch mosaic in a folder.
 ///
 /// # Errors
-/// When the folder holds neither, or a file of it cannot be read.
+/// When the folder holds neither or the run of an object, or a file of it cannot be read.
 pub fn of_folder(folder: &Path) -> Result<Exhibit, ViewError> {
     if folder.join(MOSAIC_FILE).is_file() {
         return of_mosaic(folder, None);
@@ -102,7 +102,7 @@ pub fn of_folder(folder: &Path) -> Result<Exhibit, ViewError> {
     of_run(folder)
 }
 
-/// Writes the page of what is to be shown to `path`.
+/// Writes the page of an exhibit to `path`.
 ///
 /// # Errors
 /// When no height is known, or the file cannot be written.
@@ -118,11 +118,11 @@ pub fn write(exhibit: &Exhibit, path: &Path) -> Result<Written, ViewError> {
     })
 }
 
-/// Writes the page of a gathered surface into the folder of its run or mosaic, and returns the surface. One without any known height gets
-/// no page and a warning.
+/// Writes the page of an exhibit into the folder of its run or mosaic, and returns the exhibit. A surface without known
+/// heights gets a warning and no page.
 ///
 /// # Errors
-/// When a file could not be read, or the page cannot be written.
+/// The error of `exhibit`, and an error if the page cannot be written.
 pub fn into_folder(folder: &Path, exhibit: Result<Exhibit, ViewError>) -> Result<Option<Exhibit>, ViewError> {
     match exhibit {
         Err(error @ ViewError::Nothing { .. }) => {

@@ -1,40 +1,41 @@
-//! Surface models of tiles, blended into one where they overlap.
+//! Surface models of overlapping tiles, blended into one.
 //!
-//! In the overlap every tile counts by how sure it is, `1 / (σ² + σ₀²)`, times a taper that falls from its core to its edge, so that none
-//! begins or ends with a step. A cell of unknown σ counts as if it were off by two cells. Altitudes further apart than two cells are not one surface seen twice but two surfaces (a roof and the
-//! ground beside it): there the strongest counts alone, for their mean would be a surface that nobody saw.
+//! In an overlap the weight of every tile is `1 / (σ² + σ₀²)` times a taper that falls from its core to its edge, so
+//! that no tile begins or ends with a step. An unknown σ counts as two cells. Altitudes more than two cells apart
+//! belong to two surfaces, such as a roof and the ground beside it: the tile with the largest weight counts there
+//! alone, since the mean would be a surface that does not exist.
 
 use heliosplat::Raster;
 use rayon::prelude::*;
 
-/// Standard deviation that is added to every tile's own, cells: no cell is surer than this.
+/// Standard deviation that is added to every tile's own, cells: the least uncertainty of a cell.
 const LEAST_SIGMA_CELLS: f32 = 0.25;
 /// Altitudes further apart than this many cells are two surfaces.
 const ONE_SURFACE_CELLS: f32 = 2.0;
-/// Bands of a surface model: altitude, standard deviation, coverage, views.
+/// Number of bands of a surface model: altitude, standard deviation, coverage, views.
 pub const BANDS: usize = 4;
 
 /// A tile's surface model on the mosaic's grid.
 pub struct Piece {
-    /// Its name.
+    /// Name of the tile.
     pub unit: String,
-    /// Its bands.
+    /// Bands of the surface model: altitude, standard deviation, coverage, views.
     pub raster: Raster,
-    /// Column and row of the mosaic at which it begins.
+    /// Column and row of the mosaic at which the raster begins.
     pub at: [isize; 2],
-    /// First and one past last column and row of the mosaic of its core.
+    /// Core of the tile, columns and rows of the mosaic: first and one past the last of each.
     pub core: [[isize; 2]; 2],
-    /// Bounds of the whole piece.
+    /// Bounds of the whole tile, columns and rows of the mosaic: first and one past the last of each.
     pub bounds: [[isize; 2]; 2],
 }
 
 impl Piece {
-    /// A value of a band at a cell of the mosaic; NaN outside of its bounds.
+    /// Value of a band at a cell of the mosaic; NaN outside the piece.
     pub fn value(&self, band: usize, col: isize, row: isize) -> f32 {
         self.value_of(&self.raster, band, col, row)
     }
 
-    /// Value of another raster on the grid of the piece.
+    /// Value of a band of another raster on the grid of the piece, at a cell of the mosaic; NaN outside the piece.
     pub fn value_of(&self, raster: &Raster, band: usize, col: isize, row: isize) -> f32 {
         let [columns, rows] = self.bounds;
         let inside = col >= columns[0] && col < columns[1] && row >= rows[0] && row < rows[1];
@@ -65,7 +66,8 @@ impl Piece {
     }
 }
 
-/// The surface models of all pieces on one grid.
+/// Blended surface model of all pieces on the mosaic's grid of `(width, height)` cells of `gsd_m` metres; NaN in cells
+/// that no piece covers.
 pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> Raster {
     let rows: Vec<Vec<[f32; BANDS]>> = (0..height as isize)
         .into_par_iter()
@@ -95,7 +97,7 @@ pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> R
 /// Values of a cell in one tile, with their weight.
 #[derive(Debug, Clone, Copy)]
 pub struct CellValue {
-    /// The tile.
+    /// Index of the tile among the pieces.
     pub piece: usize,
     /// Altitude, standard deviation, coverage, views.
     values: [f32; BANDS],
@@ -105,7 +107,7 @@ pub struct CellValue {
 
 fn cell_value(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<CellValue> {
     let [altitude, sigma, coverage, views] = [0, 1, 2, 3].map(|band| piece.value(band, col, row));
-    // Of one surface it is, but no surer than that.
+    // Within this distance altitudes count as one surface: the deviation of a cell without one.
     let taken = if sigma.is_finite() {
         sigma
     } else {
@@ -121,13 +123,15 @@ fn cell_value(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -
     })
 }
 
-/// The places among `pieces` of those that show anything of a row.
+/// Indices of the pieces whose bounds contain a row of the mosaic.
 pub fn in_row(pieces: &[Piece], row: isize) -> Vec<usize> {
     let shows = |piece: &Piece| (piece.bounds[1][0]..piece.bounds[1][1]).contains(&row);
     (0..pieces.len()).filter(|&i| shows(&pieces[i])).collect()
 }
 
-/// Fills `said` with what tiles say of the surface at a cell, and with nothing of another surface; the one that counts most first.
+/// Fills `said` with the values of the tiles at a cell of the mosaic that lie on one surface, that of the tile with the
+/// largest weight, which comes first; empty where no tile has a value. `here` are the indices of the pieces in
+/// question, and cells are `gsd_m` metres wide.
 pub fn one_surface(
     said: &mut Vec<CellValue>,
     (pieces, here): (&[Piece], &[usize]),
@@ -136,7 +140,7 @@ pub fn one_surface(
 ) {
     said.clear();
     said.extend(here.iter().filter_map(|&i| cell_value(i, &pieces[i], col, row, gsd_m)));
-    // The first of equals, whatever the order of sums.
+    // Of equal weights the first one wins.
     let strongest = (0..said.len()).reduce(|best, next| {
         if said[next].weight > said[best].weight {
             next
@@ -150,12 +154,12 @@ pub fn one_surface(
     said.retain(|one| (one.values[0] - altitude).abs() <= ONE_SURFACE_CELLS * gsd_m);
 }
 
-/// The bands of one surface.
+/// Bands of one surface: weighted means over its tiles.
 fn together(said: &[CellValue]) -> [f32; BANDS] {
     let Some(strongest) = said.first() else {
         return [f32::NAN; BANDS];
     };
-    // Over the tiles that know the value; NaN where none does.
+    // Over the tiles with a finite value; NaN where there is none.
     let mean = |value: &dyn Fn(&[f32; BANDS]) -> f32| {
         let known = said.iter().map(|one| (one.weight, value(&one.values)));
         let known = known.filter(|(_, value)| value.is_finite());
@@ -164,10 +168,10 @@ fn together(said: &[CellValue]) -> [f32; BANDS] {
         });
         sum / weight
     };
-    // Relative to the strongest, so that nothing is lost on a mountain.
+    // Relative to the tile with the largest weight, so that no digits are lost at high altitudes.
     let altitude = strongest.values[0] + mean(&|v| v[0] - strongest.values[0]);
     let variance = mean(&|v| v[1] * v[1] + (v[0] - altitude) * (v[0] - altitude));
-    // The tile that shows most of the images knows best how many see the cell.
+    // The largest count is the best one: other tiles may contain fewer of the images.
     let views = said.iter().map(|one| one.values[3]).fold(0.0, f32::max);
     [altitude, variance.sqrt(), mean(&|v| v[2]), views]
 }
@@ -215,7 +219,7 @@ mod tests {
     fn the_surer_tile_counts_more() {
         let raster = blend(&pair(100.0, 100.6, [2.0, 0.1]), (40, 10), 0.5);
         assert!(raster.at(0, 19, 5) > 100.5, "{}", raster.at(0, 19, 5));
-        // Its deviation says how far the two are apart.
+        // Its deviation includes the distance between the two.
         assert!(raster.at(1, 15, 5) > 0.1);
     }
 

@@ -18,9 +18,9 @@ use std::path::{Path, PathBuf};
 
 /// Names of the bands of a map of changes.
 pub const BANDS: [&str; 3] = ["difference_m", "changed_at", "confidence"];
-/// Units of the bands.
+/// Units of the bands, in the order of [`BANDS`].
 pub const UNITS: [&str; 3] = ["metre", "YYYYMMDD", "1"];
-/// Ends of the names of the files of the bands after the first.
+/// Suffixes of the names of the files of the bands after the first.
 pub const SUFFIXES: [&str; 2] = ["date", "confidence"];
 /// Descriptions of the bands.
 const DESCRIPTIONS: [&str; 3] = [
@@ -28,9 +28,9 @@ const DESCRIPTIONS: [&str; 3] = [
     "day of the first image that shows the new state; nodata where nothing changed",
     "confidence that it changed",
 ];
-/// Least difference of two surfaces that is a change, metres.
+/// Least difference of two surfaces that counts as a change, metres.
 const LEAST_M: f32 = 1.5;
-/// Ground around a segment that may be part of it, metres.
+/// Margin around a segment within which a cell may belong to it, metres.
 const AROUND_M: f64 = 1.0;
 
 /// The day (UTC) of a moment, days since 1970.
@@ -43,7 +43,7 @@ pub fn as_day(date: Date) -> i32 {
     date.to_zoned(TimeZone::UTC).map_or(0, |at| day_of(at.timestamp()))
 }
 
-/// A day as YYYYMMDD; 0 for what is no day.
+/// A day (days since 1970) as a date YYYYMMDD; 0 outside the calendar.
 pub fn as_date(day: i32) -> u32 {
     let date = Timestamp::from_second(i64::from(day) * 86_400).map(|time| time.to_zoned(TimeZone::UTC).date());
     let number = |date: Date| date.year().unsigned_abs().into();
@@ -53,16 +53,17 @@ pub fn as_date(day: i32) -> u32 {
     })
 }
 
-/// A map of changes: metres (last minus first), the day of the first image that shows the new state (days since 1970, 0 where nothing changed),
-/// and the confidence that it did; NaN where the surface is unknown on one of the days.
+/// Map of changes: difference (metres, last minus first surface), day of the first image that shows the new state (days
+/// since 1970, 0 where nothing changed), and confidence of the change (0.5 to 1, 0 where nothing changed); NaN where
+/// the surface is unknown on the first or on the last day.
 pub struct ChangeMap {
-    /// The three bands.
+    /// Raster of the three bands, in the order of [`BANDS`].
     pub raster: Raster,
 }
 
 impl ChangeMap {
-    /// The changes of a `whole` model on a grid, on which `last` is its surface above the ellipsoid after the last of them; `None` where its images
-    /// cannot tell.
+    /// Changes of a `whole` model on the grid of `nadir`; `last` is its surface on the last day, above the ellipsoid.
+    /// `None` where changes cannot be determined from the images.
     pub fn of(whole: &LoadedModel, nadir: &NadirGrid, last: &Dsm) -> Option<Self> {
         let changes = whole.file.changes.as_ref()?;
         let mut days: Vec<i32> = changes.segments.iter().map(|segment| segment.day).collect();
@@ -99,13 +100,14 @@ impl ChangeMap {
         Some(Self { raster })
     }
 
-    /// The difference alone, metres.
+    /// Band of differences, metres.
     pub fn difference(&self) -> Raster {
         self.raster.band(0)
     }
 
-    /// From files whose days were read as 32-bit numbers, which are up to one short of YYYYMMDD: each is the nearest of `days` on which
-    /// something changed. `None` unless each has one band.
+    /// Map of changes from the rasters of its files. Dates were read as 32-bit floats, which are up to one short of
+    /// YYYYMMDD; each becomes the nearest of `days` (days since 1970) on which something changed. `None` unless each
+    /// raster has one band.
     pub fn read(difference: Raster, [mut dates, confidence]: [Raster; 2], days: &[i32]) -> Option<Self> {
         if [&difference, &dates, &confidence]
             .iter()
@@ -127,7 +129,7 @@ impl ChangeMap {
         Some(Self { raster })
     }
 
-    /// The file of a band of the map whose differences are at `path`.
+    /// File of a band of the map; `path` is the file of the differences.
     pub fn file_of(path: &Path, band: usize) -> PathBuf {
         match band {
             0 => path.to_owned(),
@@ -135,7 +137,7 @@ impl ChangeMap {
         }
     }
 
-    /// QGIS style of a band.
+    /// QGIS style of a band, with the range of its values.
     pub fn style(&self, band: usize) -> Style {
         let values = self.raster.plane(band);
         match band {
@@ -157,7 +159,7 @@ impl ChangeMap {
         }
     }
 
-    /// Writes it as cloud-optimised GeoTIFFs of one band with their styles; dates are whole numbers YYYYMMDD.
+    /// Writes the map as cloud-optimised GeoTIFFs of one band, with their styles; dates are whole numbers YYYYMMDD.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -186,7 +188,7 @@ impl ChangeMap {
     }
 }
 
-/// The segments that some places may lie in: those whose bounds meet the places' own. Places are metres of the local frame.
+/// Segments whose bounds, margin included, meet the bounds of `places`, metres of the local frame.
 fn segments_along<'a>(segments: &'a [Segment], places: &[[f64; 3]]) -> Vec<&'a Segment> {
     let [low, high] = [f64::min, f64::max].map(|bound| {
         let both = |a: [f64; 2], at: &[f64; 3]| [bound(a[0], at[0]), bound(a[1], at[1])];
@@ -199,7 +201,7 @@ fn segments_along<'a>(segments: &'a [Segment], places: &[[f64; 3]]) -> Vec<&'a S
     segments.iter().filter(meets).collect()
 }
 
-/// The greatest confidence of the segments of a day that hold a place or nearly do, metres of the local frame.
+/// Largest confidence of a day's segments whose bounds, margin included, contain a position, metres of the local frame.
 fn confidence(segments: &[&Segment], day: i32, [east, north, _]: &[f64; 3]) -> Option<f32> {
     let holds = |segment: &&&Segment| {
         let [west_m, south_m, east_m, north_m] = grown(segment);
@@ -212,7 +214,7 @@ fn confidence(segments: &[&Segment], day: i32, [east, north, _]: &[f64; 3]) -> O
         .reduce(f32::max)
 }
 
-/// The bounds of a segment with the ground around it that may be part of it.
+/// Bounds of a segment with the margin around it: west, south, east, north, metres.
 fn grown(segment: &Segment) -> [f64; 4] {
     let [west_m, south_m, east_m, north_m] = segment.bounds_m.map(f64::from);
     [
@@ -223,7 +225,8 @@ fn grown(segment: &Segment) -> [f64; 4] {
     ]
 }
 
-/// Difference, day and confidence of a cell whose altitudes on some days are `heights`; `of_day` is the confidence of a change there that day.
+/// Difference, day and confidence of a cell. `heights` are its altitudes on the days `moments`, `of_day` the confidence
+/// of a change of the cell on a day.
 fn cell_change(moments: &[i32], heights: &[f32], of_day: &dyn Fn(i32) -> Option<f32>) -> [f32; 3] {
     let (Some(first), Some(last)) = (heights.first(), heights.last()) else {
         return [f32::NAN; 3];

@@ -33,24 +33,25 @@ pub const BANDS: [&str; 4] = [
 /// Units of the bands of a surface model.
 pub const UNITS: [&str; 4] = ["metre", "metre", "1", "1"];
 
-/// Largest base-to-height ratio that makes an altitude more precise. Neither rays nor matching costs know what all cells around have in
-/// common, cameras that are a tenth of a pixel off above all (docs/lab/surface.md, by errors on lidar and synthetic truth); more images do
-/// not average it out.
+/// Largest base-to-height ratio that makes an altitude more precise. Neither rays nor matching costs contain the errors
+/// that all cells around share, above all cameras that are a tenth of a pixel off (docs/lab/surface.md, by errors on
+/// lidar and synthetic truth); more images do not average them out.
 const LONGEST_BASE_TO_HEIGHT: f32 = 1.0;
 
 /// Vertical reference of altitudes without a geoid.
 const ELLIPSOID: &str = "WGS84 ellipsoid";
 
-/// Places of the bands.
+/// Indices of the bands.
 const ALTITUDE: usize = 0;
 const DEVIATION: usize = 1;
 const COVERAGE: usize = 2;
 const VIEWS: usize = 3;
 
-/// A surface model on its grid: altitude (metres above the ellipsoid), standard deviation (metres), coverage (accumulated alpha, or the
-/// probability of a swept altitude, 0 to 1) and the number of images that see the cell; NaN in all of them where the altitude is unknown.
+/// Surface model on its grid: altitude (metres above the ellipsoid or a geoid), standard deviation (metres), coverage
+/// (accumulated alpha, or the probability of a swept altitude, 0 to 1) and the number of images that see the cell; NaN
+/// in all bands where the altitude is unknown.
 pub struct Dsm {
-    /// The four bands.
+    /// Raster of the four bands, in the order of [`BANDS`].
     pub raster: Raster,
     /// Grid of the raster.
     pub grid: GridSpec,
@@ -58,16 +59,16 @@ pub struct Dsm {
     pub geoid: Option<Geoid>,
 }
 
-/// The main facts of a surface model.
+/// Summary of a surface model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceFacts {
     /// Coordinate system: its code, or its name where it has none.
     pub crs: String,
     /// Width of a cell, metres.
     pub gsd_m: f64,
-    /// Share of the grid whose altitude is known.
+    /// Share of the grid whose altitude is known, 0 to 1.
     pub known: f64,
-    /// Heights that one in a hundred cells is below and above, metres.
+    /// Heights at the quantiles 0.01 and 0.99, metres.
     pub heights_m: [f32; 2],
     /// Median standard deviation, metres; absent where none is known.
     pub deviation_m: Option<f32>,
@@ -76,7 +77,7 @@ pub struct SurfaceFacts {
 }
 
 impl SurfaceFacts {
-    /// Three lines for people about the surface model in a file.
+    /// Report of three lines on the surface model in `file`.
     pub fn in_words(&self, file: &Path) -> String {
         let [low, high] = self.heights_m;
         let deviation = self
@@ -93,17 +94,17 @@ impl SurfaceFacts {
     }
 }
 
-/// The surface model of `model`.
+/// Surface model of `model` with cells of `gsd_m` metres in the coordinate system `crs`, the local UTM zone by default.
 ///
 /// # Errors
-/// When the coordinate system does not cover the place.
+/// When the coordinate system does not cover the place, or the run's `start.tif` is damaged.
 pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
     let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
     of_model(&nadir, model)
 }
 
-/// The surface model of `model`, known where at least [`FEWEST_VIEWS`] of the images that it was trained on see it; its deviations know how
-/// sure the sweep was, as the run's [`START`](super::model::START) says.
+/// Surface model of `model` on the grid of `nadir`, known where at least [`FEWEST_VIEWS`] of the training images see
+/// it. Its standard deviations include the uncertainty of the sweep, from the run's [`START`](super::model::START).
 ///
 /// # Errors
 /// When that file is damaged.
@@ -124,7 +125,7 @@ pub(crate) fn seen_of(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
     dsm
 }
 
-/// Nadir maps of `model`, rendered without light.
+/// Maps of `model` seen from straight above, rendered without light: one pixel for each cell of `nadir`.
 pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
     let Rendering { maps, .. } = render(
         &model.model,
@@ -137,7 +138,8 @@ pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
     maps
 }
 
-/// The surface model of Gaussians, known where they cover a cell; who sees it is not asked, and the band of views is empty.
+/// Surface model of Gaussians on the grid of `nadir`, known where they cover a cell. Its visibility in images is not
+/// computed, and the band of views is NaN.
 pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
@@ -166,8 +168,8 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
     }
 }
 
-/// Altitudes above the frame's origin that `nadir`, a camera that looks straight down at pixels of `cell_m` metres, sees of Gaussians,
-/// metres; NaN where these do not cover a pixel.
+/// Altitudes of Gaussians seen from straight above, metres above the frame's origin; NaN where they do not cover a
+/// pixel. `nadir` is a camera that looks straight down at pixels of `cell_m` metres.
 pub fn altitudes(nadir: &ProjectiveCamera, gaussians: &SurfaceGaussians, cell_m: f32) -> Vec<f32> {
     let known = |cell: &surface::Cell| {
         if cell.coverage >= ALPHA_KNOWN {
@@ -179,13 +181,14 @@ pub fn altitudes(nadir: &ProjectiveCamera, gaussians: &SurfaceGaussians, cell_m:
     surface::cells(gaussians, nadir, cell_m).iter().map(known).collect()
 }
 
-/// Cells to each side over which the variance of a cell's own evidence is averaged, and the altitudes around it are compared: an edge is
-/// known to a cell or two sideways, and the cells beside a doubtful one err with it (docs/lab/surface.md).
+/// Cells to each side over which the variances of the rays are averaged, and over which altitudes are compared: the
+/// position of an edge is uncertain by a cell or two, and the cells beside an uncertain one share its error
+/// (docs/lab/surface.md).
 const OWN_REACH: usize = 1;
 const AROUND_REACH: usize = 2;
 
-/// Makes each standard deviation, of images of `gsd_m`, that of the evidence of the cells around it, of the altitudes around it, and of
-/// what all cells have in common.
+/// Replaces each standard deviation by that of three errors together: the spread of the rays of the cells around, the
+/// spread of the altitudes around, and the error that all cells share in images of `gsd_m` metres.
 fn widen_deviations(raster: &mut Raster, gsd_m: f32) {
     let least_m2 = (MATCHING_PX as f32 * gsd_m / LONGEST_BASE_TO_HEIGHT).powi(2);
     let cells = (0..raster.plane_len()).into_par_iter().with_min_len(CHUNK);
@@ -198,7 +201,8 @@ fn widen_deviations(raster: &mut Raster, gsd_m: f32) {
     raster.plane_mut(DEVIATION).copy_from_slice(&widened);
 }
 
-/// Adds to standard deviations, metres, the error of matching in images of `gsd_m` as far as it is larger than that of the longest base.
+/// Adds to standard deviations, metres, the error of matching in images of `gsd_m` metres, as far as it exceeds that of
+/// the longest base.
 fn add_error_of_base(deviation_m: &mut [f32], base_to_height: &[f32], gsd_m: f32) {
     let variance = |ratio: f32| (MATCHING_PX as f32 * gsd_m / ratio).powi(2);
     for (deviation, &ratio) in deviation_m.iter_mut().zip(base_to_height) {
@@ -240,7 +244,8 @@ fn variance_around(raster: &Raster, cell: usize) -> f32 {
     (squares / count - mean * mean).max(0.0)
 }
 
-/// A swept surface on a map grid, where it is known; its coverage is the probability of each altitude.
+/// Surface model of a swept surface with cells of `gsd_m` metres in the coordinate system `crs`, the local UTM zone by
+/// default. It is known where the sweep is; its coverage is the probability of each altitude.
 ///
 /// # Errors
 /// When the coordinate system does not cover the place.
@@ -248,7 +253,8 @@ pub fn of_surface(place: &GroundExtent, surface: &Surface, gsd_m: f64, crs: Opti
     Ok(of_surface_on(NadirGrid::new(place, gsd_m, crs)?, place, surface))
 }
 
-/// Surface model of a swept surface on a given grid.
+/// Surface model of a swept surface on the grid of `nadir`, known where the sweep is; its coverage is the probability
+/// of each altitude.
 pub fn of_surface_on(nadir: NadirGrid, place: &GroundExtent, surface: &Surface) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
@@ -256,7 +262,7 @@ pub fn of_surface_on(nadir: NadirGrid, place: &GroundExtent, surface: &Surface) 
         let (col, row) = (i % width, i / width);
         let at = |height_m: f64| nadir.enu.enu(col as f64, row as f64, height_m);
         let mut height_m = place.frame.origin.height_m;
-        // A plumb line hardly leans over a scene: the second look is at the altitude that the first one found.
+        // Plumb lines hardly lean over a scene: a second pass, at the altitude of the first, suffices.
         for _ in 0..2 {
             let [east, north, _] = at(height_m);
             let Some(up_m) = surface.altitude_at(east as f32, north as f32) else {
@@ -290,7 +296,8 @@ pub fn of_surface_on(nadir: NadirGrid, place: &GroundExtent, surface: &Surface) 
 }
 
 impl Dsm {
-    /// The surface with altitudes above `geoid` instead of the ellipsoid, and the coordinate system of these heights.
+    /// Surface model with altitudes above `geoid` instead of the ellipsoid, in the compound coordinate system of these
+    /// heights.
     ///
     /// # Errors
     /// When the geoid's grid is missing, or the coordinate system takes no heights.
@@ -303,8 +310,8 @@ impl Dsm {
         Ok(self)
     }
 
-    /// Takes what too few images see, or lies beyond the altitudes that were searched, as not known, and adds the error that the base of
-    /// the others leaves; `gsd_m` is that of the images.
+    /// Sets cells to NaN that too few images see or whose altitude is outside the searched range, metres, and adds to
+    /// all deviations the error of the base between the images; `gsd_m` is that of the images.
     fn keep_seen(&mut self, seen_by: &Witnesses, gsd_m: f32, (low_m, high_m): (f64, f64)) {
         let searched_m = low_m as f32 - gsd_m..=high_m as f32 + gsd_m;
         add_error_of_base(self.raster.plane_mut(DEVIATION), &seen_by.base_to_height, gsd_m);
@@ -317,8 +324,8 @@ impl Dsm {
         }
     }
 
-    /// Closes the holes, the unknown cells that known ones enclose, and returns how many cells it closed. They have an altitude, a
-    /// coverage and views of zero, and no standard deviation.
+    /// Fills holes, the unknown cells that known ones enclose, and returns their number. Filled cells have an altitude,
+    /// coverage 0 and views 0, and no standard deviation.
     pub fn fill(&mut self) -> usize {
         let closed = fill::close_holes(self.raster.width, self.raster.plane_mut(ALTITUDE));
         for &cell in &closed {
@@ -328,7 +335,7 @@ impl Dsm {
         closed.len()
     }
 
-    /// Takes the cells of a raster on the same grid as unknown (NaN) where the altitude is.
+    /// Sets the cells of a raster on the same grid to NaN where the altitude is unknown.
     pub fn blank_unknown(&self, raster: &mut Raster) {
         let altitude = self.raster.plane(ALTITUDE);
         for band in 0..raster.bands {
@@ -339,7 +346,7 @@ impl Dsm {
         }
     }
 
-    /// True if the file at `path` holds the same altitudes on the same grid above the same datum.
+    /// True if the file at `path` holds equal altitudes on an equal grid above the same datum.
     pub fn is_in(&self, path: &Path) -> bool {
         let same = |file: &GeoRaster| {
             let altitudes = self.raster.plane(ALTITUDE).iter().zip(file.raster.plane(0));
@@ -351,18 +358,18 @@ impl Dsm {
         GeoRaster::read(path).is_ok_and(|file| same(&file))
     }
 
-    /// Share of its grid whose altitude is known.
+    /// Share of the grid whose altitude is known, 0 to 1.
     pub fn completeness(&self) -> f64 {
         let known = self.raster.plane(0).iter().filter(|v| v.is_finite()).count();
         known as f64 / self.raster.plane_len().max(1) as f64
     }
 
-    /// Name of the vertical datum of its altitudes.
+    /// Name of the vertical datum of the altitudes.
     pub fn vertical_datum(&self) -> &'static str {
         self.geoid.map_or(ELLIPSOID, Geoid::name)
     }
 
-    /// The main facts of it, whose cells are `gsd_m` wide.
+    /// Summary of the surface model, whose cells are `gsd_m` metres wide.
     pub fn facts(&self, gsd_m: f64) -> SurfaceFacts {
         let crs = &self.grid.crs;
         let mut heights = self.raster.plane(ALTITUDE).to_vec();
@@ -383,14 +390,14 @@ impl Dsm {
         }
     }
 
-    /// Writes the surface model: the altitude as a cloud-optimised GeoTIFF of one band, and the other bands as files [`dsm_bands::companion`] it,
-    /// each with its style.
+    /// Writes the surface model: the altitude as a cloud-optimised GeoTIFF of one band at `path`, and the other bands
+    /// as its companion files ([`dsm_bands::companion`]), each with its style.
     ///
     /// # Errors
     /// When a file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), RasterError> {
         let metadata = metadata(self.vertical_datum());
-        // The altitude comes last: where it is, all are.
+        // The altitude comes last: its file marks a complete surface model.
         (1..BANDS.len())
             .into_par_iter()
             .try_for_each(|band| self.write_band(path, band, &metadata))?;
@@ -411,7 +418,7 @@ impl Dsm {
         write_cog(&path, &spec)
     }
 
-    /// The surface model as a georeferenced raster, as read from its file.
+    /// Surface model as a georeferenced raster of four named bands, as read from its files.
     pub fn geo_raster(&self) -> GeoRaster {
         GeoRaster {
             raster: self.raster.clone(),
@@ -421,7 +428,7 @@ impl Dsm {
         }
     }
 
-    /// The altitude alone.
+    /// Band of altitudes, metres.
     pub fn altitude(&self) -> Raster {
         self.raster.band(0)
     }
@@ -436,7 +443,7 @@ fn metadata(vertical_datum: &str) -> Vec<(String, String)> {
     items.map(|(k, v)| (k.into(), v.into())).to_vec()
 }
 
-/// The file of a band of the surface model whose altitude is at `path`.
+/// File of a band of a surface model; `path` is the file of the altitude.
 pub fn file_of(path: &Path, band: usize) -> PathBuf {
     match band {
         ALTITUDE => path.to_owned(),
@@ -444,7 +451,7 @@ pub fn file_of(path: &Path, band: usize) -> PathBuf {
     }
 }
 
-/// Names of the files of the surface model whose altitude is called `name`, with their styles.
+/// Names of the files of a surface model and of their styles; `name` is the file of the altitude.
 pub fn files(name: &str) -> Vec<String> {
     let both = |band| ["tif", "qml"].map(|extension| file_of(Path::new(name), band).with_extension(extension));
     (0..BANDS.len())
@@ -461,20 +468,21 @@ pub(crate) fn style(band: usize, values: &[f32]) -> Style {
     }
 }
 
-/// The files of a surface model that is larger than memory.
+/// Surface model larger than memory, written to its files row by row.
 pub struct StreamedDsm {
     path: PathBuf,
     files: Vec<StreamedCog>,
     rows: usize,
-    /// Every so many rows, the values of each band, by which styles are made.
+    /// Values of each band in a sample of the rows, from which styles are made.
     sampled: [Vec<f32>; BANDS.len()],
 }
 
-/// Rows of a streamed surface model whose values count for its styles, at most.
+/// Most rows of a streamed surface model that are sampled for its styles.
 const SAMPLED_ROWS: usize = 200;
 
 impl StreamedDsm {
-    /// Begins the files, of altitudes above `geoid` or the ellipsoid.
+    /// Begins the files of a surface model on `grid`, with altitudes above `geoid` or the ellipsoid; `path` is the file
+    /// of the altitude.
     ///
     /// # Errors
     /// When the coordinate system takes no heights, or a file cannot be written.
@@ -507,10 +515,10 @@ impl StreamedDsm {
         })
     }
 
-    /// Writes the rows from `row0` on.
+    /// Writes the four bands of some rows, the first of which is `row0`.
     ///
     /// # Errors
-    /// When they cannot be written.
+    /// When a file cannot be written.
     pub fn write_rows(&mut self, row0: usize, rows: &Raster) -> Result<(), RasterError> {
         let step = self.rows.div_ceil(SAMPLED_ROWS).max(1);
         for (band, (file, sampled)) in self.files.iter_mut().zip(&mut self.sampled).enumerate() {
@@ -522,10 +530,10 @@ impl StreamedDsm {
         Ok(())
     }
 
-    /// Makes the files of their rows, the altitude last.
+    /// Completes the files and writes their styles, the altitude last.
     ///
     /// # Errors
-    /// When one cannot be written; it is not there then.
+    /// When a file cannot be written, which is then absent.
     pub fn finish(self) -> Result<(), RasterError> {
         for (band, file) in self.files.into_iter().enumerate().rev() {
             style(band, &self.sampled[band]).write(&file_of(&self.path, band))?;

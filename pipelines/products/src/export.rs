@@ -1,7 +1,8 @@
-//! A run or a batch's mosaic for other programs: splats lit by a sun (PLY, glTF, 3D Tiles) and the textured surface (glTF, 3D Tiles).
+//! A run or a batch's mosaic for other programs: splats lit by a sun (PLY, glTF, 3D Tiles) and the textured surface
+//! (glTF, 3D Tiles).
 //!
-//! All of it stands in the local frame, metres east, north and up of the site's origin, never in map coordinates: a map's north and its
-//! scale are not those of the ground. [`anchor`] says where the frame stands on Earth.
+//! All files use the local frame, metres east, north and up of the site's origin, never map coordinates: a map's north
+//! and its scale are not those of the ground. [`anchor`] gives the position of the frame on Earth.
 
 mod folder;
 mod lit;
@@ -30,23 +31,23 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use textured::{Dressed, TexturedGround};
 
-/// Name of the file that a folder of tiles begins with.
+/// Name of the root file of a folder of tiles.
 pub const TILESET: &str = "tileset.json";
 
 /// Files to export; at least one.
 #[derive(Debug, Clone, Default)]
 pub struct Request {
-    /// Splats as viewers and editors of splats read them.
+    /// PLY file of splats, for viewers and editors of splats.
     pub ply: Option<PathBuf>,
-    /// Splats as glTF.
+    /// glTF file of splats.
     pub splats: Option<PathBuf>,
-    /// The textured surface as glTF.
+    /// glTF file of the textured surface.
     pub mesh: Option<PathBuf>,
-    /// A folder for 3D Tiles.
+    /// Folder for 3D Tiles.
     pub tiles: Option<PathBuf>,
     /// True if the tiles hold the textured surface instead of splats.
     pub tiles_of_mesh: bool,
-    /// The sun of the splats; that of the reference image by default.
+    /// Sun of the splats; that of the reference image by default.
     pub sun: Option<SunPosition>,
 }
 
@@ -57,33 +58,33 @@ pub struct Written {
     pub kind: &'static str,
     /// Path of the file or folder.
     pub path: PathBuf,
-    /// Its size, of a folder that of all its files.
+    /// Size of the file, or of all files of the folder, bytes.
     pub bytes: u64,
-    /// Files that were written for it.
+    /// Number of files written.
     pub files: usize,
-    /// Splats in it, at the finest level.
+    /// Number of splats at the finest level; absent for meshes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub splats: Option<usize>,
-    /// Triangles in it, at the finest level.
+    /// Number of triangles at the finest level; absent for splats.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub triangles: Option<usize>,
-    /// Levels of detail.
+    /// Number of levels of detail.
     pub levels: usize,
 }
 
 /// Exported files and their metadata.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Export {
-    /// The files and folders.
+    /// Files and folders that were written.
     pub written: Vec<Written>,
     /// Metadata in the files: the anchor of the frame, and for splats the sun and the display stretch.
     pub said: Value,
 }
 
-/// Why a run cannot be exported.
+/// Reason that a run or a mosaic cannot be exported.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// The sun, or the run.
+    /// The sun or the run cannot be used.
     #[error(transparent)]
     Light(#[from] RelightError),
     /// A file cannot be written.
@@ -114,7 +115,8 @@ impl ExportError {
     }
 }
 
-/// Brings metres of a local frame to Earth-centred, Earth-fixed metres (WGS 84): four columns of a 4 x 4 matrix, one after another.
+/// Transform from metres of a local frame to Earth-centred, Earth-fixed metres (WGS 84): a 4 x 4 matrix, column after
+/// column.
 pub fn ecef_from_enu(frame: &LocalFrame) -> [f64; 16] {
     let axes = frame.enu_from_ecef_rotation();
     let origin = ecef_from_geo(frame.origin);
@@ -129,7 +131,8 @@ pub fn ecef_from_enu(frame: &LocalFrame) -> [f64; 16] {
     matrix
 }
 
-/// Anchor of a local frame: origin, datum and axes.
+/// Anchor of a local frame as JSON: axes, datum, origin (degrees, metres), and transform to Earth-centred, Earth-fixed
+/// metres.
 pub fn anchor(frame: &LocalFrame) -> Value {
     let origin = frame.origin;
     json!({
@@ -150,7 +153,7 @@ pub enum Subject<'s> {
 }
 
 impl Subject<'_> {
-    /// The local frame that all files stand in.
+    /// Local frame of all files.
     pub fn frame(&self) -> &LocalFrame {
         match self {
             Self::Run(model) => &model.frame,
@@ -180,10 +183,10 @@ impl Subject<'_> {
     }
 }
 
-/// Writes what is asked for of a run or a mosaic. Each file and each folder is whole or not there.
+/// Writes the requested files of a run or a mosaic. Each file and each folder is complete or absent.
 ///
 /// # Errors
-/// [`ExportError`].
+/// [`ExportError`] where the run, the sun or the surface cannot be used, or a file is too large or cannot be written.
 pub fn write(subject: Subject, request: &Request) -> Result<Export, ExportError> {
     let mut said = json!({
         "anchor": anchor(subject.frame()), "software": concat!("heliosplat ", env!("CARGO_PKG_VERSION")),
@@ -237,7 +240,7 @@ pub fn write(subject: Subject, request: &Request) -> Result<Export, ExportError>
     Ok(Export { written, said })
 }
 
-/// The surface of a run and its albedo.
+/// Textured surface of a run, with its albedo.
 fn ground(model: &LoadedModel) -> Result<TexturedGround, ExportError> {
     let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
     let mut albedo = ortho::albedo(model, &dsm::maps(model, &nadir));
@@ -246,7 +249,7 @@ fn ground(model: &LoadedModel) -> Result<TexturedGround, ExportError> {
     Ok(TexturedGround::new(&surface, &albedo, &model.file.bands, &nadir.enu))
 }
 
-/// The members of two objects.
+/// Object with the members of two objects.
 fn with(a: &Value, b: &Value) -> Value {
     let members = [a, b].into_iter().filter_map(Value::as_object).flatten();
     Value::Object(members.map(|(key, value)| (key.clone(), value.clone())).collect())
@@ -271,7 +274,7 @@ fn write_one(
     })
 }
 
-/// A PLY of splats; what is said of it stands in its comments and in a JSON file beside it.
+/// Writes splats as PLY, with their metadata in its comments and in a JSON file beside it.
 fn write_ply(path: &Path, lit: &Lit, said: &Value) -> Result<Written, ExportError> {
     let mut sidecar = path.as_os_str().to_owned();
     sidecar.push(".json");

@@ -1,8 +1,9 @@
 //! Closing holes of a surface model.
 //!
-//! Most holes are ground that something tall hides from all images but one, so they are closed with the lower of what is around them: a
-//! cell has the lower quartile of the altitudes beside it, and the lowest cells come first, so that the ground spreads up to the foot of a
-//! tower before the tower's roof is asked. Unknown cells that reach the border of the raster are no hole: the scene ends there.
+//! Most holes are ground that something tall hides from all images but one, so they are filled from low altitudes: a
+//! cell takes the lower quartile of the altitudes beside it, and the lowest cells come first, so that the ground
+//! spreads up to the foot of a tower before the tower's roof contributes. Unknown cells that reach the border of the
+//! raster are no hole: the scene ends there.
 
 use heliosplat_grid::statistics::upper_quantile;
 use std::cmp::{Ordering, Reverse};
@@ -11,7 +12,8 @@ use std::collections::BinaryHeap;
 /// Quantile of the neighbouring altitudes that fills an unknown cell.
 const QUARTILE: f64 = 0.25;
 
-/// Gives altitudes to the unknown cells (NaN) of a raster of `width` columns that known ones enclose; returns which.
+/// Fills the unknown altitudes (NaN) that known ones enclose, metres, in a raster of `width` columns; returns the
+/// indices of the filled cells.
 pub(super) fn close_holes(width: usize, altitude_m: &mut [f32]) -> Vec<usize> {
     let height = altitude_m.len() / width.max(1);
     let around = |cell: usize| {

@@ -1,9 +1,9 @@
 //! Uncertainty of the initial sweep, added to the standard deviation of the surface of a model.
 //!
-//! Training settles on one surface, and where nothing is matched, as in a court that lies in shade, its rays meet nothing
-//! else: the spread along them is small, however wrong the surface is. The sweep knows better how sure its choice was. If an altitude has
-//! the probability p, and the other choice is the ground, which is d lower, then the mean squared error of the altitude is (1 - p) d² more.
-//! Ablation in docs/lab/surface.md.
+//! Training converges to one surface. Where nothing is matched, as in a shaded court, its rays meet only that surface,
+//! and the spread along them is small, however wrong the surface is. The probability of the sweep is a better measure
+//! there: if an altitude has the probability p, and the alternative is the ground, d lower, the mean squared error of
+//! the altitude is (1 - p) d² larger. Ablation in docs/lab/surface.md.
 
 use crate::model::START;
 use crate::nadir::{GroundExtent, NadirGrid};
@@ -14,7 +14,7 @@ use heliosplat_raster::{GeoRaster, RasterError};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Band of its probability.
+/// Name of the band of the sweep's probabilities.
 const PROBABILITY: &str = "coverage";
 /// Probability of an altitude where the sweep found none.
 const UNKNOWN: f32 = 0.5;
@@ -28,10 +28,11 @@ pub(crate) struct StartProbability {
 }
 
 impl StartProbability {
-    /// Uncertainty of the run in `folder`; `None`, with a warning, if the run has none.
+    /// Probabilities of the sweep of the run in `folder`, over the ground `place`; `None`, with a warning, if the run
+    /// has none.
     ///
     /// # Errors
-    /// When the file is damaged.
+    /// When the file of the sweep is damaged, or its grid lies outside its coordinate system.
     pub(crate) fn of_run(folder: &Path, place: &GroundExtent) -> Result<Option<Self>, RasterError> {
         let path = folder.join(START);
         let start = match path.is_file() {
@@ -58,7 +59,8 @@ impl StartProbability {
         }))
     }
 
-    /// Widens the standard deviations of a surface, metres, on a grid whose `altitude_m` is above the ellipsoid; NaN where it is unknown.
+    /// Widens the standard deviations of a surface, metres, on the grid of `nadir`; `altitude_m` is above the
+    /// ellipsoid, NaN where unknown.
     pub(crate) fn widen(&self, nadir: &NadirGrid, altitude_m: &[f32], deviation_m: &mut [f32]) {
         let ground_m = ground_below((nadir.grid.width, nadir.grid.height), nadir.cell_m(), altitude_m);
         let cells = deviation_m.par_iter_mut().with_min_len(CHUNK).enumerate();
@@ -71,7 +73,7 @@ impl StartProbability {
         });
     }
 
-    /// The probability at a cell of another grid.
+    /// Probability of an altitude (metres above the ellipsoid) at a cell of another grid, 0 to 1.
     fn at(&self, nadir: &NadirGrid, cell: usize, altitude_m: f32) -> f32 {
         let (col, row) = (cell % nadir.grid.width, cell / nadir.grid.width);
         let place = nadir.enu.enu(col as f64, row as f64, f64::from(altitude_m));
@@ -101,7 +103,7 @@ mod tests {
         }
     }
 
-    /// A house of 10 m on level ground, in whose eastern half the sweep was sure and in whose western half it was not.
+    /// A house of 10 m on level ground; the sweep is certain in its eastern half and uncertain in its western half.
     #[test]
     fn what_the_sweep_was_not_sure_of_may_be_ground() {
         let inside = |cell: usize, cells: usize| [cell % cells, cell / cells].iter().all(|&at| 3 * at / cells == 1);

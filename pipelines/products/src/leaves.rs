@@ -1,9 +1,10 @@
 //! Classification of Gaussians as leaves by the vegetation index of their cell.
 //!
-//! The albedo of one Gaussian says little: those of one crown differ, and walls beside it have something of its colour. So the index of the
-//! albedo is composited from straight above, as depths are, and averaged over neighbouring cells. A Gaussian is leaves where its cell is.
-//! Without near infrared the index is excess green, of bands that are divided by their medians, and counts only where the cell is raised
-//! above the ground, since lawns are green too. Ablations are in docs/lab/surface.md.
+//! The albedo of a single Gaussian is a weak indicator: Gaussians of one crown differ, and walls beside it have some of
+//! its colour. So the index of the albedo is composited from straight above, as depths are, and averaged over
+//! neighbouring cells; a Gaussian is a leaf where its cell is one. Without near infrared the index is excess green, of
+//! bands divided by their medians, and counts only where the cell is raised above the ground, since lawns are green
+//! too. Ablations are in docs/lab/surface.md.
 
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::Table;
@@ -15,7 +16,7 @@ use rayon::prelude::*;
 
 /// Excess green above which a cell is green.
 const GREEN: f32 = 0.04;
-/// Height above the ground from which a green cell is leaves, metres.
+/// Least height above the ground of a green cell of leaves, metres.
 const RAISED_M: f32 = 3.0;
 /// Half width of the opening that finds the ground, metres: objects narrower than twice this are removed.
 const GROUND_REACH_M: f32 = 12.0;
@@ -30,7 +31,7 @@ pub(super) struct LeafIndex<'a> {
 }
 
 impl<'a> LeafIndex<'a> {
-    /// Index of these Gaussians, whose albedo has `bands` bands.
+    /// Index of the Gaussians of a table, whose albedo has `bands` bands.
     pub(super) fn new(index: VegetationIndex, gaussians: &'a Table, bands: usize) -> Self {
         let albedo = gaussians.group(ALBEDO);
         let white = |band: usize| match index {
@@ -48,13 +49,13 @@ impl<'a> LeafIndex<'a> {
         }
     }
 
-    /// The index of a Gaussian.
+    /// Vegetation index of a Gaussian, -1 to 1.
     pub(super) fn of(&self, gaussian: usize) -> f32 {
         let albedo = &self.gaussians.group(ALBEDO)[gaussian * self.bands..];
         self.index.of(|band| albedo[band] / self.white[band]).clamp(-1.0, 1.0)
     }
 
-    /// Leaf mask of the Gaussians, from their image `seen` by `nadir`, a camera that looks straight down.
+    /// Leaf mask of the Gaussians; `seen` is their image from `nadir`, a camera that looks straight down.
     pub(super) fn leaves(&self, nadir: &ProjectiveCamera, seen: &FromAbove) -> Vec<bool> {
         let cells = self.cells((nadir.width, nadir.height), seen);
         let leaf = |gaussian: usize| {
@@ -75,7 +76,7 @@ impl<'a> LeafIndex<'a> {
     fn cells(&self, (width, height): (usize, usize), seen: &FromAbove) -> Vec<bool> {
         let reach = (seen.gsd_m / seen.cell_m).round() as usize;
         let near = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
-        // NaN, which is above no bar, where nothing is known.
+        // NaN, which exceeds no threshold, where nothing is known.
         let mean = |i: usize| {
             let (mut sum, mut count) = (0.0, 0.0);
             for row in near(i / width, height) {
@@ -103,13 +104,13 @@ impl<'a> LeafIndex<'a> {
 
 /// Nadir image of the Gaussians; NaN where they do not cover a cell.
 pub(super) struct FromAbove {
-    /// Their index, composited.
+    /// Vegetation index of each cell, composited.
     pub index: Vec<f32>,
-    /// Altitudes, metres above the frame's origin.
+    /// Altitude of each cell, metres above the frame's origin.
     pub up_m: Vec<f32>,
     /// Width of a cell, metres.
     pub cell_m: f32,
-    /// Ground sampling distance of the images, metres: over so much to each side the index is averaged.
+    /// Ground sampling distance of the images, metres: the distance to each side over which the index is averaged.
     pub gsd_m: f32,
 }
 
@@ -126,8 +127,8 @@ mod tests {
     const GREY: [f32; 4] = [0.3, 0.3, 0.3, 0.35];
     const LEAF: [f32; 4] = [0.1, 0.16, 0.08, 0.5];
 
-    /// Discs a metre apart at the altitudes and with the albedo (red, green, blue, near infrared) that `of` tells for each column and row;
-    /// which of them are leaves.
+    /// Leaf mask of discs a metre apart; `of` gives the altitude and the albedo (red, green, blue, near infrared) of
+    /// each column and row.
     fn leaves(bands: &[BandKind], of: impl Fn(usize, usize) -> (f32, [f32; 4])) -> Vec<bool> {
         let mut groups = core_groups();
         groups.push(GroupSpec::new("albedo", bands.len()));

@@ -1,7 +1,9 @@
-//! A trained satellite model becomes files: surface models, true orthos, relit images, shadow masks, point clouds, STAC items.
+//! Products of a trained satellite model, as files: surface models, true orthos, relit images, shadow masks, point
+//! clouds, STAC items.
 //!
-//! [`model`] reads a run; [`surface`] and [`dsm`] look at it from above; [`views`] renders its images; [`relight`] puts it under
-//! another sun; [`set`] writes everything for a GIS through [`writer`], and [`stac`] describes it.
+//! [`model`] reads a run; [`surface`] and [`dsm`] compute its surface as seen from above; [`views`] renders its images;
+//! [`relight`] renders it under another sun; [`set`] writes all products for a GIS through [`writer`], and [`stac`]
+//! describes them.
 
 pub mod blend;
 pub mod change;

@@ -1,4 +1,5 @@
-//! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (what they share, the frame, the cameras).
+//! A trained satellite model as files: `model.ply` (the Gaussians) and `model.json` (shared parameters, frame,
+//! cameras).
 
 use crate::ply;
 use heliosplat::gaussians::Table;
@@ -18,56 +19,56 @@ use std::path::{Path, PathBuf};
 /// Version of the layout of `model.json`.
 pub const SCHEMA: u32 = 1;
 
-/// One image as the model knows it.
+/// Image of a model: camera, colours and sun.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ModelImage {
-    /// Its name.
+    /// Name of the image.
     pub name: String,
-    /// Train or test.
+    /// Use of the image: train or test.
     pub split: Split,
-    /// Its own colour in the model, if it was trained on.
+    /// Index of the image's own colours in the model; `None` where it was not trained on.
     pub appearance: Option<usize>,
-    /// For an image held out: the colour of one taken the same day that was trained on.
+    /// Index of the colours of a training image of the same day, for an image held out.
     #[serde(default)]
     pub same_day: Option<usize>,
-    /// The pinhole camera of the whole image.
+    /// Pinhole camera of the whole image.
     pub map: ProjectiveMap,
-    /// The rectangle of it that shows the area.
+    /// Rectangle of the image that shows the area, pixels.
     pub crop: Crop,
-    /// Correction of its pointing, pixels.
+    /// Correction of the image's pointing, columns and rows, pixels.
     pub shift_px: [f32; 2],
     /// Tiles of the rectangle with data and without clouds; `None`: all of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub known: Option<KnownTiles>,
-    /// Its sun; `None` where it is unknown.
+    /// Position of the sun; `None` where it is unknown.
     #[serde(default)]
     pub sun: Option<SunPosition>,
-    /// Standard deviation of its sun's direction, degrees.
+    /// Standard deviation of the sun's direction, degrees; `None` where it is unknown.
     #[serde(default)]
     pub sun_sigma_deg: Option<f64>,
-    /// Source of its sun.
+    /// Source of the sun's position.
     #[serde(default)]
     pub sun_source: SunSource,
-    /// When it was taken, if known.
+    /// Acquisition time; `None` where it is unknown.
     #[serde(default)]
     pub time: Option<jiff::Timestamp>,
 }
 
-/// Changes in `model.json`.
+/// Changes between the images, as stored in `model.json`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ModelChanges {
-    /// Days on which the images could be divided, days since 1970.
+    /// Days that divide the images, days since 1970.
     pub days: Vec<i32>,
-    /// The parts of the ground that changed, metres of the local frame.
+    /// Changed segments of the ground, metres of the local frame.
     pub segments: Vec<Segment>,
 }
 
-/// `model.json`: all of a model besides its Gaussians.
+/// Content of `model.json`: all of a model besides its Gaussians.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ModelFile {
-    /// Version of this layout.
+    /// Version of the layout: [`SCHEMA`].
     pub schema: u32,
-    /// Kind of scene.
+    /// Kind of model: `shadow_gs`.
     pub model: String,
     /// SHA-256 of `model.ply`, hexadecimal; absent in models of versions that did not state it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -80,7 +81,7 @@ pub struct ModelFile {
     pub origin: GeoPoint,
     /// Lowest and highest ellipsoidal altitude, metres.
     pub altitude_range_m: (f64, f64),
-    /// Ground that is modelled, metres of the local frame.
+    /// Modelled ground, metres of the local frame.
     pub area: Area,
     /// Ground sampling distance of the images, metres.
     pub gsd_m: f64,
@@ -96,7 +97,7 @@ pub struct ModelFile {
     /// Brightness of the ground as a function of the sun; `None` without light, and in models of older versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub daylight: Option<Daylight>,
-    /// The images.
+    /// Images of the run, training and test.
     pub images: Vec<ModelImage>,
     /// Changes between the images; absent where they cannot be determined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -104,12 +105,12 @@ pub struct ModelFile {
 }
 
 impl ModelFile {
-    /// The vegetation index of the model's colours, if they have one.
+    /// Normalised difference vegetation index of the model's colours; `None` where they have none.
     pub fn ndvi(&self) -> Option<NormalisedDifference> {
         self.values.ndvi(&self.bands)
     }
 
-    /// Index that separates leaves by the model's colours, if there is one.
+    /// Index that separates leaves by the model's colours; `None` where there is none.
     pub fn vegetation_index(&self) -> Option<VegetationIndex> {
         self.values.vegetation_index(&self.bands)
     }
@@ -121,25 +122,25 @@ impl ModelFile {
     }
 }
 
-/// File of a run that has the surface it started from.
+/// Name of the file of a run with the surface that training started from.
 pub const START: &str = "start.tif";
 
 /// A model read back from its run.
 pub struct LoadedModel {
-    /// The folder.
+    /// Folder of the run.
     pub folder: PathBuf,
     /// Content of `model.json`.
     pub file: ModelFile,
-    /// The model.
+    /// Rendering model with its options.
     pub model: ShadowGs,
-    /// Its parameters.
+    /// Parameters of the model: Gaussians and shared ones.
     pub parameters: Parameters,
-    /// The local frame.
+    /// Local frame of the model: metres east, north and up of its origin.
     pub frame: LocalFrame,
 }
 
 impl LoadedModel {
-    /// Rendering options of products, the same as in training.
+    /// Rendering options of products, equal to those of training.
     pub fn pass_options(&self) -> PassOptions {
         PassOptions {
             projection: self.file.projection,
@@ -152,7 +153,7 @@ impl LoadedModel {
 /// Content of the `model.json` of a run.
 ///
 /// # Errors
-/// When it is missing or damaged.
+/// When the folder is no run, or the file is damaged.
 pub fn load_file(folder: &Path) -> Result<ModelFile, RunError> {
     let path = folder.join("model.json");
     if !path.is_file() {
@@ -162,17 +163,17 @@ pub fn load_file(folder: &Path) -> Result<ModelFile, RunError> {
 }
 
 impl LoadedModel {
-    /// The model as it stands on a day, days since 1970.
+    /// Copy of the model as it stands on a day, days since 1970.
     pub fn on(&self, day: i32) -> Self {
         self.copy().into_day(day as f32)
     }
 
-    /// The model as it stands on the day of its last image.
+    /// Copy of the model as it stands on the day of its last image.
     pub fn on_last(&self) -> Self {
         self.copy().last()
     }
 
-    /// The model on the day of the last image.
+    /// The model as it stands on the day of its last image.
     pub fn last(self) -> Self {
         let last = self.model.options.days.iter().copied().fold(f32::MIN, f32::max);
         self.into_day(last)
@@ -188,7 +189,7 @@ impl LoadedModel {
         }
     }
 
-    /// Without what does not stand on a day, and without days.
+    /// Removes the Gaussians that do not stand on a day, and all days.
     fn into_day(mut self, day: f32) -> Self {
         let gaussians = &self.parameters.gaussians;
         if let Some(standing) = standing(gaussians, day) {
@@ -210,7 +211,7 @@ pub fn load(folder: &Path) -> Result<LoadedModel, RunError> {
     load_whole(folder).map(LoadedModel::last)
 }
 
-/// The model of a run with all that stands on any day.
+/// The model of a run with the Gaussians of all days.
 ///
 /// # Errors
 /// When a file is missing or damaged.
@@ -233,7 +234,8 @@ pub fn load_whole(folder: &Path) -> Result<LoadedModel, RunError> {
     })
 }
 
-/// Writes a model into `folder`, which must exist: `model.ply`, the `texts` of the run by their names, and last `model.json`.
+/// Writes a model into `folder`, which must exist: `model.ply`, the `texts` of the run by their names, and last
+/// `model.json`.
 ///
 /// # Errors
 /// When a file cannot be written.

@@ -15,7 +15,7 @@ impl ModelFile {
     /// Model file parsed from the text of a `model.json` and checked.
     ///
     /// # Errors
-    /// A sentence that says what is wrong with it.
+    /// A sentence on the fault of the text.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut file: Self = serde_json::from_str(text).map_err(|e| e.to_string())?;
         if file.schema != SCHEMA || file.model != "shadow_gs" {
@@ -78,7 +78,7 @@ impl ModelFile {
 
 fn check_options(options: &ShadowGsOptions) -> Result<(), String> {
     let most = MOST_CHANNELS;
-    // First the bands alone: what follows from them is not computed from nonsense.
+    // Bands come first: the number of channels follows from them.
     let fits = (1..most).contains(&options.bands) && ShadowGs::new(options.clone()).channels() + NORMALS <= most;
     if !fits {
         return Err(format!("{} bands are not possible", options.bands));
@@ -92,8 +92,8 @@ fn check_options(options: &ShadowGsOptions) -> Result<(), String> {
     Ok(())
 }
 
-/// True if the shared parameters match the options; checked before anything is allocated by the options. Images without
-/// colours in models of older versions, which had no path radiance, get zeros.
+/// True if the shared parameters match the options; checked before anything is allocated by the options. Models of
+/// older versions have no path radiance where images have no colours of their own: there it becomes zero.
 fn complete(globals: &mut Table, options: &ShadowGsOptions) -> bool {
     let per_image = options.bands * options.bands + 2 * options.bands;
     if options.images.checked_mul(per_image).is_none() || globals.count != 1 {

@@ -8,21 +8,22 @@ use heliosplat_raster::{Crs, CrsTransform, RasterError};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 use heliosplat_scene::{Area, Scene};
 
-/// A grid over the model's area and the camera that looks straight down on it.
+/// Map grid over an area, and the camera that looks straight down on it.
 pub struct NadirGrid {
-    /// The grid.
+    /// Map grid.
     pub grid: GridSpec,
-    /// Its camera: one pixel per grid cell.
+    /// Camera that looks straight down: one pixel per grid cell.
     pub camera: ProjectiveCamera,
+    /// Local coordinates of the cells, metres east, north and up.
     pub(super) enu: EnuGrid,
 }
 
-/// A piece of ground, and how high it reaches.
+/// Piece of ground with its range of altitudes.
 #[derive(Debug, Clone, Copy)]
 pub struct GroundExtent {
-    /// The local frame.
+    /// Local frame of the ground.
     pub frame: LocalFrame,
-    /// The ground, metres of the frame.
+    /// Bounds of the ground, metres of the frame.
     pub area: Area,
     /// Lowest and highest ellipsoidal altitude, metres.
     pub altitude_range_m: (f64, f64),
@@ -49,7 +50,7 @@ impl From<&Scene> for GroundExtent {
 }
 
 impl NadirGrid {
-    /// The grid of `crs` (the local UTM zone by default) with pixels of `gsd_m` metres over a place.
+    /// Grid over a place with cells of `gsd_m` metres in the coordinate system `crs`, the local UTM zone by default.
     ///
     /// # Errors
     /// When the coordinate system does not cover the place.
@@ -64,7 +65,7 @@ impl NadirGrid {
         Self::on(place, grid)
     }
 
-    /// The grid and its camera, on a given grid.
+    /// Camera over a given grid, in the frame of `place`.
     ///
     /// # Errors
     /// When the grid lies outside its coordinate system.
@@ -74,8 +75,9 @@ impl NadirGrid {
         Ok(Self { grid, camera, enu })
     }
 
-    /// A grid that no model's frame belongs to, such as a mosaic's, with `altitude_m` (metres above the ellipsoid, NaN where unknown) on it: the
-    /// frame stands at its middle, at the lowest altitude.
+    /// Grid that belongs to no model's frame, such as a mosaic's, with a frame of its own, whose origin is the middle
+    /// of the grid at the lowest altitude. `altitude_m` is a surface on the grid, metres above the ellipsoid, NaN where
+    /// unknown.
     ///
     /// # Errors
     /// When the grid lies outside its coordinate system.
@@ -108,7 +110,8 @@ impl NadirGrid {
         Ok((Self::on(&place, grid)?, frame))
     }
 
-    /// Vectors from a cell to the next column and row at the grid's middle, metres east and north of the local frame.
+    /// Vectors from a cell to the next column and row at the grid's middle and an ellipsoidal height, metres east and
+    /// north of the local frame.
     pub fn cell_vectors_m(&self, height_m: f64) -> CellVectors {
         let (col, row) = (0.5 * self.grid.width as f64, 0.5 * self.grid.height as f64);
         let at = |col: f64, row: f64| self.enu.enu(col, row, height_m);
@@ -124,14 +127,14 @@ impl NadirGrid {
         (self.grid.transform.pixel_size().0 * self.grid.crs.metres_per_unit()) as f32
     }
 
-    /// Ellipsoidal height of a grid cell where the model's surface is `up_m` above the frame's origin.
+    /// Ellipsoidal height of a grid cell where the surface is `up_m` above the frame's origin, both in metres.
     pub fn height(&self, col: usize, row: usize, up_m: f32) -> f64 {
         self.enu.height(col as f64, row as f64, f64::from(up_m))
     }
 }
 
-/// The affine map from the local frame to grid cells, least squares over nine nodes: over a few kilometres a map projection
-/// is affine to far below a pixel.
+/// The affine map from the local frame to grid cells, least squares over nine nodes: over a few kilometres a map
+/// projection is affine to far below a pixel.
 fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCamera {
     let (w, h) = ((grid.width - 1) as f64, (grid.height - 1) as f64);
     let mut normal = nalgebra::Matrix3::<f64>::zeros();
@@ -162,19 +165,19 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
 /// Vectors from a cell to the next column and row, metres east and north.
 #[derive(Debug, Clone, Copy)]
 pub struct CellVectors {
-    /// Step of one column.
+    /// Vector to the next column.
     pub per_col: [f64; 2],
-    /// Step of one row.
+    /// Vector to the next row.
     pub per_row: [f64; 2],
 }
 
 impl CellVectors {
-    /// Metres east and north of some columns and rows.
+    /// Offset of some columns and rows, metres east and north.
     pub(crate) fn offset_m(&self, cols: f64, rows: f64) -> [f64; 2] {
         [0, 1].map(|axis| cols * self.per_col[axis] + rows * self.per_row[axis])
     }
 
-    /// Columns and rows within a distance, at least one.
+    /// Numbers of columns and rows within a distance, at least 1.
     pub(crate) fn reach(&self, distance_m: f64) -> [usize; 2] {
         [self.per_col, self.per_row].map(|[east, north]| ((distance_m / east.hypot(north)) as usize).max(1))
     }

@@ -6,8 +6,8 @@ use heliosplat::Raster;
 use heliosplat::splat::Maps;
 use heliosplat_scene::indices::{NormalisedDifference, VEGETATION_INDEX};
 
-/// The albedo seen from straight above, band by band; `NaN` where nothing is known. A surface of albedo 1 that lies level in the full
-/// sun is as bright as one unit of the model's colours.
+/// Albedo seen from straight above, band by band; `NaN` where unknown. Level ground of albedo 1 in full sun is as
+/// bright as one unit of the model's colours.
 pub fn albedo(model: &LoadedModel, maps: &Maps) -> Raster {
     let bands = model.file.bands.len();
     let mut out = Raster::filled(maps.width, maps.height, bands, f32::NAN);
@@ -41,8 +41,9 @@ pub fn vegetation(albedo: &Raster, index: NormalisedDifference) -> Raster {
     }
 }
 
-/// Slopes by Horn's 3 × 3 differences (Horn 1981, as `gdaldem hillshade`), lit from the north-west at 45°: shades 1 to 255, `NaN`
-/// where the altitude is not known. Cells are `[width_m, height_m]` metres; unknown neighbours count as level with the cell.
+/// Hillshade of an altitude, metres, lit from the north-west at 45°: shades 1 to 255, `NaN` where the altitude is
+/// unknown. Slopes are Horn's 3 × 3 differences (Horn 1981, as `gdaldem hillshade`). Cells are `[width_m, height_m]`
+/// metres; unknown neighbours count as level with the cell.
 pub fn hillshade(altitude: &Raster, [width_m, height_m]: [f64; 2]) -> Raster {
     let (width, height) = (altitude.width, altitude.height);
     let plane = altitude.plane(0);

@@ -7,7 +7,8 @@ use heliosplat::model::shadow_gs::{ALBEDO, ShadowGs};
 use heliosplat_exchange::splat_ply;
 use heliosplat_exchange::splats::C0;
 
-/// The file of Gaussians whose albedo has `bands` bands.
+/// Bytes of the PLY file of Gaussians whose albedo has `bands` bands; viewers see the albedo as display values (gamma
+/// 2.2).
 pub fn encode(gaussians: &Table, bands: usize) -> Vec<u8> {
     let albedo = gaussians.group(ALBEDO);
     let shown = |i: usize| {
@@ -19,10 +20,10 @@ pub fn encode(gaussians: &Table, bands: usize) -> Vec<u8> {
     splat_ply::encode_shown(gaussians, &shown)
 }
 
-/// The Gaussians of a file, which must hold all columns of `model`.
+/// Gaussians of a PLY file, which must hold all columns of `model`.
 ///
 /// # Errors
-/// The fault of the file.
+/// A sentence on the fault of the file.
 pub fn decode(bytes: &[u8], model: &ShadowGs) -> Result<Table, String> {
     splat_ply::decode(bytes, model.feature_groups())
 }

@@ -1,4 +1,5 @@
-//! The Gaussians as a point cloud: LAZ 1.4, points of format 7 with colours, and the class of vegetation where it is known.
+//! The Gaussians as a point cloud: LAZ 1.4, points of format 7 with colours, and the class of vegetation where it is
+//! known.
 
 use crate::model::LoadedModel;
 use heliosplat::gaussians::POSITION;
@@ -13,18 +14,18 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-/// Gaussians fainter than this are no surface.
+/// Least opacity of a Gaussian that is a surface.
 const OPACITY_KNOWN: f32 = 0.5;
 
-/// Vegetation higher than this is high, metres, and width of the cells in which the ground is looked for, metres.
+/// Height above which vegetation is high, metres, and width of the cells in which the ground is sought, metres.
 const HIGH_M: f64 = 2.0;
 const CELL_M: f64 = 5.0;
 
-/// Steps of the coordinates, metres at most.
+/// Step of the coordinates, metres; in other units the nearest power of ten.
 const STEP_M: f64 = 0.001;
 
-/// Writes the Gaussians of `model` that are opaque and within its area; returns how many they are. Heights are above `geoid`, or the
-/// ellipsoid.
+/// Writes the Gaussians of `model` that are opaque and within its area as a point cloud in `crs`; returns their number.
+/// Heights are metres above `geoid`, or the ellipsoid.
 ///
 /// # Errors
 /// When the coordinate system does not cover the place, a geoid's grid is missing, or the file cannot be written.
@@ -59,9 +60,9 @@ fn writer(crs: &Crs, low: [f64; 3]) -> Result<Writer<Cursor<Vec<u8>>>, las::Erro
     builder.point_format.is_compressed = true;
     builder.generating_software = concat!("heliosplat ", env!("CARGO_PKG_VERSION")).into();
     builder.system_identifier = "MODELLED".into();
-    // Without the day of its making the same model gives the same bytes on any day.
+    // Without a date the same model gives the same bytes on any day.
     builder.date = None;
-    // A power of ten, so that coordinates read as they are meant.
+    // A power of ten, so that coordinates have no spurious digits.
     let step = 10f64.powf((STEP_M / crs.metres_per_unit()).log10().round());
     let axis = |low: f64, scale: f64| Transform {
         scale,
@@ -79,11 +80,11 @@ fn writer(crs: &Crs, low: [f64; 3]) -> Result<Writer<Cursor<Vec<u8>>>, las::Erro
     Writer::new(Cursor::new(Vec::new()), header)
 }
 
-/// A point cloud, and the ground that it is asked about: west, south, east, north.
+/// File of a point cloud, and the ground on which its points are taken: west, south, east, north, units of the map.
 pub type Part = (PathBuf, [f64; 4]);
 
-/// Writes one point cloud of some over ellipsoidal heights, of each only what lies on its ground, so that none is there twice; returns
-/// how many points there are. Heights are above `geoid`, or the ellipsoid.
+/// Merges point clouds over ellipsoidal heights into one file, the points of each on its own ground, so that none
+/// occurs twice; returns the number of points. Heights in the file are metres above `geoid`, or the ellipsoid.
 ///
 /// # Errors
 /// When a cloud cannot be read, a geoid's grid is missing, or the file cannot be written.
@@ -105,7 +106,7 @@ pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>)
             .map_or(0.0, |table| table.at(cell(col, grid.width), cell(row, grid.height)))
     };
     let corner = grid.transform.map_from_pixel(-0.5, grid.height as f64 - 0.5);
-    // Heights count from zero: the lowest is not known before all are read.
+    // Heights have the offset zero: the lowest is unknown until all are read.
     let mut writer = writer(&crs, [corner[0], corner[1], 0.0]).map_err(failed)?;
     let mut count = 0;
     for (part, [west, south, east, north]) in parts {
@@ -179,7 +180,8 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
     Ok(points)
 }
 
-/// Makes vegetation low where it stands no higher than [`HIGH_M`] above the lowest point of its own cell and of those around it.
+/// Classifies vegetation as low where it stands less than [`HIGH_M`] above the lowest point of its own cell and of
+/// those around it.
 fn tell_high_from_low(points: &mut [Point], cell: f64) {
     let place = |p: &Point| ((p.x / cell).floor() as i64, (p.y / cell).floor() as i64);
     let mut lowest: BTreeMap<(i64, i64), f64> = BTreeMap::new();

@@ -18,7 +18,7 @@ use heliosplat_raster::{GridSpec, RasterError, preview};
 use heliosplat_rpc::sun::SunPosition;
 use std::path::{Path, PathBuf};
 
-/// Why a scene cannot be relit.
+/// Reason that a scene cannot be relit.
 #[derive(Debug, thiserror::Error)]
 pub enum RelightError {
     /// A sun, a view or a model that cannot be used, with the remedy.
@@ -43,25 +43,25 @@ impl RelightError {
     }
 }
 
-/// Elevation of the sun below which a scene is not relit: shadows are longer than any site.
+/// Least elevation of the sun for relighting, degrees: below it shadows are longer than any site.
 pub const LOWEST_SUN_DEG: f64 = 1.0;
 
-/// Weight of the light that the surface model lets through, beside that through the Gaussians: under high suns, and under low ones, whose rays graze
-/// the Gaussians of level ground and roofs and meet some.
+/// Weight of the visibility over the surface model, beside that through the Gaussians: under high suns, and under low
+/// ones, whose rays graze the Gaussians of level ground and roofs and meet some.
 const OVER_SURFACE: [f32; 2] = [0.4, 0.8];
 /// Elevations of the sun that are high and low, degrees.
 const HIGH_AND_LOW_DEG: [f64; 2] = [20.0, 4.0];
-/// Share of the sun below which a place is in shadow: as traced through the Gaussians, and in the mean of both, which misses shadow
-/// more often than it invents some.
+/// Visibility below which a pixel is in shadow, traced through the Gaussians alone.
 const SHADED_BELOW: f32 = 0.5;
-/// Share of the sun below which a cell is shaded, for the mean of both masks.
+/// Visibility below which a cell is in shadow in the mean of both traces, which misses shadow more often than it
+/// invents some.
 const SHADED_BELOW_IN_THE_MEAN: f32 = 0.6;
 
 /// A relit view.
 pub struct Relit {
-    /// Its colours in the units of the images' counts.
+    /// Colours in the units of the images' counts.
     pub image: Raster,
-    /// Share of the sun that reaches each pixel, 0 to 1.
+    /// Visibility of the sun from each pixel, 0 to 1.
     pub visibility: Raster,
     /// Exposure of the counts, in words; the metadata item `EXPOSURE` of files.
     pub exposure: String,
@@ -83,15 +83,15 @@ pub struct Viewpoint<'a> {
 /// Grid and surface of a nadir view.
 struct Above {
     grid: GridSpec,
-    /// The surface, if there is light to throw shadows.
+    /// Surface that casts shadows; `None` for a model without light.
     surface: Option<SurfaceShadows>,
 }
 
 impl<'a> Viewpoint<'a> {
-    /// From above (`nadir`), at the images' resolution, or as the image called `view` saw it.
+    /// View from straight above (`nadir`) at the resolution of the images, or of the image called `view`.
     ///
     /// # Errors
-    /// [`RelightError`] when there is no such view.
+    /// [`RelightError`] when no image has this name, or the grid from above cannot be made.
     pub fn new(model: &'a LoadedModel, view: &str) -> Result<Self, RelightError> {
         if view == "nadir" {
             return Ok(Self::above(
@@ -106,7 +106,7 @@ impl<'a> Viewpoint<'a> {
         })
     }
 
-    /// From straight above, on a grid.
+    /// View from straight above: one pixel per cell of a grid.
     pub fn above(model: &'a LoadedModel, nadir: &NadirGrid) -> Self {
         let surface = model.file.has_light().then(|| SurfaceShadows::new(model, nadir));
         Self {
@@ -119,11 +119,11 @@ impl<'a> Viewpoint<'a> {
         }
     }
 
-    /// Renders it under `sun`, in counts of the reference image: its exposure and its path radiance, but the irradiance and the sky of that
-    /// sun.
+    /// Renders the view under `sun`, in counts of the reference image: exposure and path radiance are those of that
+    /// image, irradiance and sky light those of the sun.
     ///
     /// # Errors
-    /// [`RelightError`] when the sun is down, or the model has no light.
+    /// [`RelightError`] when the sun is lower than [`LOWEST_SUN_DEG`], or the model has no light.
     pub fn relit(&self, sun: &SunPosition) -> Result<Relit, RelightError> {
         let (light, maps) = self.traced(sun)?;
         let visibility = visibility_of(self.model, &maps);
@@ -146,10 +146,10 @@ impl<'a> Viewpoint<'a> {
         })
     }
 
-    /// Its shadow mask under `sun`: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
+    /// Shadow mask of the view under `sun`: 1 in shadow, 0 in the sun, `NaN` where unknown.
     ///
     /// # Errors
-    /// [`RelightError`] when the sun is down, or the model has no light.
+    /// [`RelightError`] when the sun is lower than [`LOWEST_SUN_DEG`], or the model has no light.
     pub fn shadows(&self, sun: &SunPosition) -> Result<Raster, RelightError> {
         let (_, maps) = self.traced(sun)?;
         Ok(mask_of(visibility_of(self.model, &maps), self.shaded_below()))
@@ -186,10 +186,10 @@ impl<'a> Viewpoint<'a> {
     }
 }
 
-/// The light of a sun on `model`.
+/// Directional light of a sun on `model`.
 ///
 /// # Errors
-/// [`RelightError`] when the sun is down, or the model has no light.
+/// [`RelightError`] when the sun is lower than [`LOWEST_SUN_DEG`], or the model has no light.
 pub(crate) fn light_of(model: &LoadedModel, sun: &SunPosition) -> Result<Light, RelightError> {
     let elevation_deg = sun.elevation_rad.to_degrees();
     if !elevation_deg.is_finite() || elevation_deg < LOWEST_SUN_DEG {
@@ -218,15 +218,15 @@ fn visibility_of(model: &LoadedModel, maps: &Maps) -> Raster {
     }
 }
 
-/// Weight of the light that the surface model lets through, under a sun of this elevation.
+/// Weight of the visibility over the surface model under a sun of this elevation, degrees.
 fn over_surface(elevation_deg: f64) -> f32 {
     let [high, low] = HIGH_AND_LOW_DEG;
     let sunk = ((high - elevation_deg) / (high - low)).clamp(0.0, 1.0) as f32;
     OVER_SURFACE[0] + (OVER_SURFACE[1] - OVER_SURFACE[0]) * sunk
 }
 
-/// The mean of `through`, the composited visibility of pixels, and of what the surface lets through (`over`, NaN where it is unknown), which has
-/// this weight.
+/// Mixes `over`, the visibility over the surface (NaN where it is unknown), with this weight into `through`, the
+/// composited visibility of pixels.
 fn mix(through: &mut [f32], alpha: &[f32], over: &[f32], weight: f32) {
     for ((through, alpha), over) in through.iter_mut().zip(alpha).zip(over) {
         if over.is_finite() {
@@ -246,7 +246,7 @@ fn mask_of(mut visibility: Raster, shaded_below: f32) -> Raster {
 /// model's colours.
 ///
 /// # Errors
-/// [`RelightError`] for a model that does not know these.
+/// [`RelightError`] for a model without irradiance and sky light under other suns.
 pub(crate) fn composed(
     model: &LoadedModel,
     sun: &SunPosition,
@@ -266,7 +266,7 @@ pub(crate) fn composed(
         let shade = daylight.shade(k, sun.elevation_rad) as f32;
         globals.group_mut(SKY)[reference * bands + k] = softplus_inverse(shade);
     }
-    // The maps hold what the Gaussians say.
+    // The maps hold the features of the Gaussians.
     let parameters = Parameters {
         gaussians: Table::zeros(model.model.feature_groups(), 0),
         globals,
@@ -323,13 +323,13 @@ fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, Rel
 }
 
 impl Relit {
-    /// Its shadow mask: 1 in shadow, 0 in the sun, `NaN` where nothing is known.
+    /// Shadow mask: 1 in shadow, 0 in the sun, `NaN` where unknown.
     pub fn shadows(&self) -> Raster {
         mask_of(self.visibility.clone(), self.shaded_below)
     }
 
-    /// Writes the image to `path` (PNG: a picture; otherwise GeoTIFF in counts) and its shadow mask beside it (`*_shadow`, 1 =
-    /// in shadow); returns the mask's path.
+    /// Writes the image to `path` (PNG: a picture; otherwise GeoTIFF in counts) and its shadow mask beside it
+    /// (`*_shadow`, 1 in shadow, 0 elsewhere); returns the path of the mask.
     ///
     /// # Errors
     /// When a file cannot be written.

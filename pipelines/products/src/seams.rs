@@ -7,50 +7,51 @@ use heliosplat_grid::statistics::{SIGMA_PER_MAD, quantile, upper_median};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// Steps between neighbouring cells.
+/// Statistics of height steps between neighbouring cells.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Steps {
     /// Number of steps.
     pub count: usize,
-    /// Mean, metres.
+    /// Mean step, metres.
     pub mean_m: f64,
-    /// Median, metres.
+    /// Median step, metres.
     pub median_m: f64,
-    /// 95 of 100 are smaller, metres.
+    /// Quantile 0.95 of the steps, metres.
     pub p95_m: f64,
-    /// Share above a metre.
+    /// Share of steps above 1 m, 0 to 1.
     pub above_1m: f64,
 }
 
 /// Altitude difference of two tiles in their overlap.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
-    /// The two.
+    /// Names of the two tiles.
     pub tiles: [String; 2],
-    /// Cells that both know.
+    /// Number of cells known in both tiles.
     pub cells: usize,
     /// Median of the second minus the first, metres.
     pub median_m: f64,
-    /// Its spread: 1.4826 times the median distance from the median, metres.
+    /// Normalised median absolute deviation of the differences (1.4826 times the median distance from the median),
+    /// metres.
     pub nmad_m: f64,
-    /// Mean distance, metres.
+    /// Mean absolute difference, metres.
     pub mean_abs_m: f64,
 }
 
-/// The borders of a mosaic.
+/// Steps and differences at the borders of a mosaic's tiles.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Seams {
-    /// Steps across the lines between cores.
+    /// Steps across the lines between cores; `None` where there are none.
     pub border: Option<Steps>,
-    /// Steps across the lines where tiles begin and end.
+    /// Steps across the lines where tiles begin and end; `None` where there are none.
     pub edge: Option<Steps>,
-    /// All other steps.
+    /// All other steps; `None` where there are none.
     pub interior: Option<Steps>,
-    /// Steps across the lines between cores in the tiles themselves, which know of no border there.
+    /// Steps across the lines between cores within single tiles, which have no border there.
     pub border_within_tiles: Option<Steps>,
-    /// Share of the lines of the interior whose mean step is at least the border's.
+    /// Share of the interior lines whose mean step is at least the border's, 0 to 1; `None` without borders.
     pub interior_lines_above_border: Option<f64>,
-    /// Differences of tiles in their overlaps.
+    /// Differences of each two tiles in their overlap.
     pub overlaps: Vec<Difference>,
 }
 
@@ -86,7 +87,7 @@ impl Line {
     }
 }
 
-/// Measures the borders of a mosaic; `altitude` is its first band.
+/// Measures the seams of a mosaic of `pieces`; the first band of `altitude` is its altitude, metres.
 pub fn measure(altitude: &Raster, pieces: &[Piece]) -> Seams {
     let size = [altitude.width as isize, altitude.height as isize];
     let inner = |axis: usize, at: isize| at > 0 && at < size[axis];
@@ -137,7 +138,7 @@ fn step([a, b]: [[isize; 2]; 2], value: &impl Fn([isize; 2]) -> f32) -> Option<f
     step.is_finite().then_some(step)
 }
 
-/// Steps across a line in every tile that knows both sides.
+/// Steps across a line in every tile that has values on both sides.
 fn own_steps(line: Line, length: isize, pieces: &[Piece]) -> Vec<f32> {
     let of = |piece: &Piece| -> Vec<f32> {
         let value = |[col, row]: [isize; 2]| piece.value(0, col, row);

@@ -7,8 +7,8 @@ use heliosplat::ProjectiveCamera;
 use heliosplat_scene::crop;
 use heliosplat_stereo::{AltitudeGrid, Witnesses, views_seeing};
 
-/// The training images that see each cell of `nadir`'s grid at its ellipsoidal `altitude_m` (NaN where there is none, which no
-/// image sees). Pixels without data, and those that show clouds, see nothing.
+/// Training images that see each cell of `nadir`'s grid at its ellipsoidal `altitude_m` (metres; cells of NaN are seen
+/// by none): their number and their base-to-height ratio. Pixels without data and pixels of clouds see nothing.
 pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Witnesses {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let cell_m = nadir.grid.transform.pixel_size().0 * nadir.grid.crs.metres_per_unit();
@@ -21,7 +21,7 @@ pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Witnes
         };
         nadir.enu.enu((cell % width) as f64, (cell / width) as f64, height_m)
     };
-    // Rays are walked over a grid of the local frame, which the map grid is turned against.
+    // Rays are walked over a grid of the local frame; the map grid is turned against it.
     let corners = [0, width - 1, (height - 1) * width, height * width - 1].map(enu);
     let bound = |axis: usize, sign: f64| sign * corners.iter().map(|c| sign * c[axis]).fold(f64::MIN, f64::max);
     let (west, south) = (bound(0, -1.0) - cell_m, bound(1, -1.0) - cell_m);

@@ -25,13 +25,14 @@ pub struct Request {
     pub crs: Option<String>,
     /// Geoid that heights refer to; the ellipsoid by default.
     pub geoid: Option<Geoid>,
-    /// The sun of the relit ortho image, if there is to be one.
+    /// Sun of the relit ortho image; `None`: no relit image.
     pub sun: Option<SunPosition>,
-    /// The days whose sunshine is wanted, if any.
+    /// Days whose sunshine is computed; `None`: no sunshine.
     pub sun_hours: Option<Period>,
 }
 
-/// The date of an image by name: its day, or without a time the place of its sun; `undated` where neither is known.
+/// Name of the date of an image: its day (UTC), or without a time the position of its sun; `undated` where neither is
+/// known.
 pub fn date_of(image: &ModelImage) -> String {
     match (image.time, image.sun) {
         (Some(time), _) => time.strftime("%Y-%m-%d").to_string(),
@@ -44,7 +45,7 @@ pub fn date_of(image: &ModelImage) -> String {
     }
 }
 
-/// The dates of a run whose sun is known, and the sun of the first image of each.
+/// Dates of a run whose sun is known, by name, each with the sun of its first image.
 pub fn dates(images: &[ModelImage]) -> Vec<(String, SunPosition)> {
     let mut known = BTreeMap::new();
     for image in images {
@@ -55,7 +56,7 @@ pub fn dates(images: &[ModelImage]) -> Vec<(String, SunPosition)> {
     known.into_iter().collect()
 }
 
-/// The sun that all images of a run share, where they do.
+/// Sun of a run with a single date and a known sun for each image; otherwise `None`.
 pub fn only_sun<'a>(images: &[ModelImage], dates: &'a [(String, SunPosition)]) -> Option<&'a SunPosition> {
     let all_known = images.iter().all(|image| image.sun.is_some());
     dates
@@ -64,7 +65,7 @@ pub fn only_sun<'a>(images: &[ModelImage], dates: &'a [(String, SunPosition)]) -
         .map(|(_, sun)| sun)
 }
 
-/// The dates that get a shadow mask: none where the model has no light.
+/// Dates that get a shadow mask: none for a model without light.
 fn shaded_dates(model: &LoadedModel) -> Vec<(String, SunPosition)> {
     match model.file.has_light() {
         true => dates(&model.file.images),
@@ -77,11 +78,13 @@ pub fn steps(model: &LoadedModel) -> u64 {
     4 + shaded_dates(model).len() as u64
 }
 
-/// Writes all products of a `whole` model, which are those of the day of its last image, into the folder `out`, `item.json` last, under the name `id`, in a collection (its name and where it
-/// is) if there is one; `done` is called with the number of steps done.
+/// Writes all products into the folder `out`, `item.json` last. They show a `whole` model on the day of its last image.
+/// The item has the name `id`, and belongs to a collection (its name and its location) if there is one. `done` is
+/// called with the number of finished steps.
 ///
 /// # Errors
-/// When the grid cannot be made, a geoid is missing, the sun asked for is down (before anything is written), or a file cannot be written.
+/// When the grid cannot be made or nothing falls on it, a geoid is missing, the requested sun is too low (before
+/// anything is written), or a file cannot be written.
 pub fn write(
     whole: &LoadedModel,
     out: &Path,
@@ -155,8 +158,8 @@ pub fn write(
     Ok(set)
 }
 
-/// When the images of some runs were taken; where none is known, when the newest of their files was written, and where those are gone,
-/// when the models were.
+/// Acquisition times of the images. Without any, the time at which the newest input file of the runs was written, or
+/// the newest model where the inputs are gone.
 pub fn times(images: &[ModelImage], runs: &[&Path]) -> Vec<Timestamp> {
     let times: Vec<Timestamp> = images.iter().filter_map(|image| image.time).collect();
     if !times.is_empty() {

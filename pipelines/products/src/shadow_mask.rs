@@ -1,9 +1,9 @@
 //! Shadow masks of images: shadows are traced, and the image refines their borders.
 //!
-//! A traced border is off by the error in altitude times the length of the shadow, so by a pixel or two; the pixels beside it show
-//! which of them the sun reaches. For each there are two predictions, shaded `d` and lit `l`, and the share of the sun `s` that
-//! explains the pixel `c = d + s (l - d)` best follows by least squares, every band weighed by its noise. The traced share is
-//! the expectation beforehand, with a deviation of 0.2; where a surface is too dark to tell, it stays.
+//! A traced border is off by the error in altitude times the length of the shadow, a pixel or two. For each pixel
+//! beside it there are two predictions, shaded `d` and lit `l`; its visibility `s` follows from `c = d + s (l - d)`,
+//! `c` the image, by least squares over the bands, each weighted by its noise. The traced visibility is the prior, with
+//! a standard deviation of 0.2; it stays where a surface is too dark to decide.
 
 use heliosplat::Raster;
 use heliosplat_grid::statistics::{SIGMA_PER_MAD, upper_median};
@@ -11,28 +11,28 @@ use rayon::prelude::*;
 
 /// Standard deviation of the traced visibility near the border of a shadow.
 const TRACED: f32 = 0.2;
-/// Pixels on either side of a traced border within which the image is asked: further off, what is dark may be dark for
+/// Distance from a traced border within which the image counts, pixels: farther off, dark pixels may be dark for
 /// another reason.
 const REACH_PX: usize = 4;
 /// Least noise of an image, in units of its values.
 const LEAST_NOISE: f32 = 1e-3;
 
-/// Rasters of an image that its shadow mask is made from, all of one size.
+/// Rasters from which the shadow mask of an image is made, all of one size.
 pub struct Evidence<'a> {
-    /// Share of the sun that reaches each pixel by the trace, `NaN` where nothing is known.
+    /// Traced visibility of the sun from each pixel, 0 to 1; `NaN` where unknown.
     pub traced: &'a Raster,
-    /// The image as the model has it.
+    /// Rendering of the image by the model.
     pub rendered: &'a Raster,
     /// Rendering without sun.
     pub shaded: &'a Raster,
     /// Rendering without cast shadows.
     pub lit: &'a Raster,
-    /// The image itself, `NaN` where it has no value.
+    /// The image itself; `NaN` where it has no value.
     pub image: &'a Raster,
 }
 
 impl Evidence<'_> {
-    /// Share of the sun that reaches each pixel by trace and image together, 0 to 1; `NaN` where the trace has none.
+    /// Visibility of the sun from each pixel by trace and image together, 0 to 1; `NaN` where the trace has none.
     pub fn visibility(&self) -> Raster {
         let near = near_border(self.traced);
         let weights: Vec<f32> = (0..self.image.bands).map(|band| self.noise(band).powi(-2)).collect();
@@ -50,7 +50,7 @@ impl Evidence<'_> {
         Raster { values, ..*self.traced }
     }
 
-    /// Least squares of one pixel, the traced share held to itself.
+    /// Least squares of one pixel, with the traced visibility as prior.
     fn weighed(&self, i: usize, traced: f32, weights: &[f32]) -> f32 {
         let (mut known, mut told) = (TRACED.powi(-2), traced * TRACED.powi(-2));
         for (band, weight) in weights.iter().enumerate() {
@@ -68,7 +68,7 @@ impl Evidence<'_> {
         (told / known).clamp(0.0, 1.0)
     }
 
-    /// Deviation of a band from its rendering, by the median so that cars and edges count little.
+    /// Standard deviation of a band from its rendering, by the median so that cars and edges count little.
     fn noise(&self, band: usize) -> f32 {
         let mut sizes: Vec<f32> = self
             .image

@@ -17,12 +17,12 @@ const VIEW: &str = "https://stac-extensions.github.io/view/v1.0.0/schema.json";
 const COG: &str = "image/tiff; application=geotiff; profile=cloud-optimized";
 const LAZ: &str = "application/vnd.laszip";
 
-/// One band of an asset.
+/// Band of an asset.
 #[derive(Debug, Clone)]
 pub struct Band<'a> {
-    /// Its name.
+    /// Name of the band.
     pub name: &'a str,
-    /// Its unit, empty where it has none.
+    /// Unit of the band; empty where it has none.
     pub unit: &'a str,
 }
 
@@ -31,24 +31,25 @@ pub struct Band<'a> {
 pub enum Numbers {
     /// Unconverted values; nodata -9999.
     Float,
-    /// Rounded to whole numbers, with this nodata.
+    /// Values rounded to whole numbers, with this nodata.
     Byte(u8),
     /// Days since 1970 as dates, YYYYMMDD; nodata 0.
     Dates,
 }
 
-/// One file.
+/// File of an item.
 #[derive(Debug, Clone)]
 pub struct Asset {
-    /// Its key in the item.
+    /// Key of the asset in the item.
     pub key: String,
-    /// Its name in the item's folder.
+    /// Name of the file in the item's folder.
     pub file: String,
     value: Value,
 }
 
 impl Asset {
-    /// A raster: its bands, how the file holds their values, and the sun it stands for, if any.
+    /// Asset of a raster: key, file and title, its bands, the encoding of their values in the file, the ground sampling
+    /// distance, metres, and the sun of the values, if any.
     pub fn raster(
         (key, file, title): (&str, &str, &str),
         raster: &Raster,
@@ -76,7 +77,7 @@ impl Asset {
         }
     }
 
-    /// A file that is no raster, with its media type and its role.
+    /// Asset of a file other than a raster: key, file and title, media type and role.
     pub fn other((key, file, title): (&str, &str, &str), media_type: &str, role: &str) -> Self {
         Self {
             key: key.into(),
@@ -85,7 +86,7 @@ impl Asset {
         }
     }
 
-    /// A point cloud of `count` points.
+    /// Asset of a point cloud of `count` points.
     pub fn points(file: &str, count: usize) -> Self {
         let mut asset = Self::other(("points", file, "Point cloud"), LAZ, "data");
         asset.value["description"] = format!("{count} points: opaque Gaussians, coloured by their albedo").into();
@@ -137,7 +138,7 @@ fn describe(plane: &[f32], band: &Band, numbers: Numbers, gsd_m: f64) -> Value {
     out
 }
 
-/// The assets of an earlier item on the same grid whose files are still there and are not written anew.
+/// Assets of an earlier item on the same grid whose files still exist and are not written anew.
 pub(crate) fn kept(earlier: &Value, item: &Value, folder: &Path) -> Map<String, Value> {
     let same = ["proj:code", "proj:shape", "proj:transform", "heliosplat:vertical_datum"]
         .iter()
@@ -151,26 +152,26 @@ pub(crate) fn kept(earlier: &Value, item: &Value, folder: &Path) -> Map<String, 
     kept.map(|(key, asset)| (key.clone(), asset.clone())).collect()
 }
 
-/// Subject of an item.
+/// Properties of an item.
 #[derive(Debug, Clone)]
 pub struct About<'a> {
-    /// Its name.
+    /// Name of the item.
     pub id: &'a str,
-    /// The grid that all rasters share.
+    /// Grid of all rasters.
     pub grid: &'a GridSpec,
     /// Ground sampling distance, metres.
     pub gsd_m: f64,
-    /// Vertical datum of heights.
+    /// Name of the vertical datum of heights.
     pub vertical_datum: &'a str,
-    /// When the images were taken, in any order; not empty.
+    /// Acquisition times of the images, in any order; not empty.
     pub times: &'a [Timestamp],
-    /// The sun of all products, where there is but one.
+    /// Sun of all products; `None` where there is not exactly one.
     pub sun: Option<&'a SunPosition>,
-    /// Name of the collection it belongs to and where that is, seen from the item, if any.
+    /// Name of the collection of the item and its location relative to the item, if any.
     pub collection: Option<(&'a str, &'a str)>,
 }
 
-/// The item of some assets.
+/// STAC Item of some assets, as JSON.
 ///
 /// # Errors
 /// When a corner of the grid lies outside of its coordinate system.
@@ -248,7 +249,7 @@ fn corners(grid: &GridSpec) -> Result<[[f64; 2]; 4], RasterError> {
     Ok(out)
 }
 
-/// A longitude as the one of its kind that is nearest to `other`, degrees.
+/// Longitude that differs from a longitude by whole turns and is nearest to `other`, degrees.
 fn around(lon: f64, other: f64) -> f64 {
     other + (lon - other + 180.0).rem_euclid(360.0) - 180.0
 }
@@ -258,8 +259,8 @@ fn wrapped(lon: f64) -> f64 {
     around(lon, 0.0)
 }
 
-/// West, south, east, north of points that lie less than half of the Earth apart; east is above 180 degrees where they lie on both sides of
-/// the antimeridian.
+/// West, south, east, north of points that lie less than half of the Earth apart; east is above 180 degrees where they
+/// lie on both sides of the antimeridian.
 fn west_east(points: &[[f64; 2]]) -> [f64; 4] {
     let first = points.first().map_or(0.0, |point| point[0]);
     let mut found = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
@@ -278,8 +279,9 @@ fn west_east(points: &[[f64; 2]]) -> [f64; 4] {
     }
 }
 
-/// The bounding box of boxes whose east is not below their west: as GeoJSON has it, with the west above the east where it crosses the
-/// antimeridian (RFC 7946, 5.2). It is the narrowest one: all longitudes but the widest gap between the boxes.
+/// Bounding box of boxes whose east is not below their west: as in GeoJSON, with the west above the east where it
+/// crosses the antimeridian (RFC 7946, 5.2). It is the narrowest one: all longitudes but the widest gap between the
+/// boxes.
 fn bounds(boxes: &[[f64; 4]]) -> [f64; 4] {
     let (mut south, mut north) = (f64::INFINITY, f64::NEG_INFINITY);
     let mut spans = Vec::with_capacity(boxes.len());
@@ -291,7 +293,7 @@ fn bounds(boxes: &[[f64; 4]]) -> [f64; 4] {
     let Some(&(first, _)) = spans.first() else {
         return [-180.0, -90.0, 180.0, 90.0];
     };
-    // Once around from the first: the end of what is covered so far, and the widest gap that follows it.
+    // Once around from the first: the end of the longitudes covered so far, and the widest gap between boxes.
     let (mut end, mut widest) = (f64::NEG_INFINITY, (f64::NEG_INFINITY, first, first));
     for (west, east) in spans.iter().copied().chain([(first + 360.0, first + 360.0)]) {
         if end.is_finite() && west - end > widest.0 {
@@ -314,7 +316,7 @@ fn bounds(boxes: &[[f64; 4]]) -> [f64; 4] {
     [wrapped_west, south, east, north]
 }
 
-/// The outline of corners in counter-clockwise order; in two parts where it crosses the antimeridian (RFC 7946, 3.1.9).
+/// Outline of corners in counter-clockwise order, in two parts where it crosses the antimeridian (RFC 7946, 3.1.9).
 fn geometry(corners: &[[f64; 2]; 4]) -> Value {
     let closed = |mut ring: Vec<[f64; 2]>| {
         ring.extend(ring.first().copied());
@@ -348,7 +350,7 @@ fn side(ring: &[[f64; 2]], sign: f64) -> Vec<[f64; 2]> {
     out
 }
 
-/// The collection of some items, each with the folder that its `item.json` is in, seen from the collection.
+/// STAC Collection of some items, as JSON. Each item comes with its folder, relative to the collection.
 pub fn collection(id: &str, items: &[(String, Value)]) -> Value {
     let boxes: Vec<[f64; 4]> = items
         .iter()

@@ -19,7 +19,7 @@ pub struct StoredPiece {
 }
 
 impl StoredPiece {
-    /// Writes the values of `piece` to `file`.
+    /// Writes the values of `piece` to `file` and keeps the rest of it in memory.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -79,7 +79,7 @@ impl StoredPiece {
     }
 }
 
-/// Some rows, `width` cells wide, of what [`blend`] makes of all pieces.
+/// Rows of the mosaic, `width` cells of `gsd_m` metres wide, as [`blend`] merges them from all pieces.
 ///
 /// # Errors
 /// When a piece cannot be read again.

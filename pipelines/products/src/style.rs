@@ -1,7 +1,8 @@
 //! QGIS styles of products: a style file (`.qml`) beside each raster, which QGIS applies when the raster is opened, and
 //! a layer file (`.qlr`) that opens all rasters of a folder as one group.
 //!
-//! The renderers are templates in `style/`, in the words of QGIS 3.22, which later versions read; ranges are filled in from the values.
+//! The renderers are templates in `style/`, in the format of QGIS 3.22, which later versions read; ranges are filled in
+//! from the values.
 
 use heliosplat::Raster;
 use heliosplat_grid::statistics::quantile;
@@ -9,22 +10,22 @@ use heliosplat_raster::{Crs, RasterError, write_atomically};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Values that are looked at for a range, at most.
+/// Most values from which a range is computed.
 const SAMPLES: usize = 200_000;
-/// Shares of the values below and above the range that is stretched.
+/// Share of the values cut off below, and above, the range that is stretched.
 const CUT: f64 = 0.02;
-/// Gamma that turns counts of light into what a screen shows.
+/// Gamma from counts of light to display values.
 const DISPLAY_GAMMA: f32 = 2.2;
 
-/// From low to high ground.
+/// Colours of altitudes, from low to high ground.
 pub const GROUND: [&str; 5] = ["#2c5e4a", "#8fae6b", "#e8dca5", "#b8855a", "#f7f4ef"];
-/// From little to much of something, such as hours of sun.
+/// Colours of amounts, such as hours of sun, from little to much.
 pub const SUN: [&str; 5] = ["#1b1b4d", "#5e3c8b", "#c0527f", "#f28e55", "#fdf3b0"];
 
-/// From what fell to what rose.
+/// Colours of height differences, from lowered to raised ground.
 pub const FELL_AND_ROSE: [&str; 5] = ["#2166ac", "#92c5de", "#f7f7f7", "#f4a582", "#b2182b"];
 
-/// The colour at a share of the way through `colours`, each `#rrggbb`.
+/// Colour (red, green, blue) at a share of the way through `colours`, 0 to 1; each of these is `#rrggbb`.
 pub fn colour(colours: &[&str], share: f32) -> [u8; 3] {
     let last = colours.len().saturating_sub(1);
     let at = share.clamp(0.0, 1.0) * last as f32;
@@ -47,25 +48,25 @@ pub fn colour(colours: &[&str], share: f32) -> [u8; 3] {
 pub enum Style {
     /// Altitudes by colour.
     Heights([f32; 2]),
-    /// Amounts of something by colour, hours of sun for one.
+    /// Amounts by colour, such as hours of sun.
     Amounts([f32; 2]),
     /// Positive and negative differences by colour, from minus to plus this value.
     Differences(f32),
     /// Grey between two values.
     Shades([f32; 2]),
-    /// Red, green and blue from these bands, from 1, between two values.
+    /// Red, green and blue from the bands with these numbers, from 1, between two values.
     Colours([usize; 3], [f32; 2]),
     /// Mask: label and colour of the marked cells; the others show the layers below.
     Mask(&'static str, &'static str),
 }
 
 impl Style {
-    /// The style of altitudes.
+    /// Style of altitudes, with the range of `values`.
     pub fn heights(values: &[f32]) -> Self {
         Self::Heights(range(values))
     }
 
-    /// The style of amounts from zero.
+    /// Style of amounts, from zero to the end of the range of `values`.
     pub fn amounts(values: &[f32]) -> Self {
         let [_, most] = range(values);
         Self::Amounts([0.0, most])
@@ -74,12 +75,13 @@ impl Style {
     /// Writes the style file of a raster beside it.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the style file cannot be written.
     pub fn write(&self, raster: &Path) -> Result<(), RasterError> {
         write_atomically(&raster.with_extension("qml"), self.qml().as_bytes())
     }
 
-    /// The style of an image whose bands have these names: red, green and blue where they are there, else the first band in grey.
+    /// Style of an image whose bands have these names: red, green and blue where all three exist, otherwise the first
+    /// band in grey.
     pub fn colours(raster: &Raster, names: &[&str]) -> Self {
         let of = |name| names.iter().position(|&n| n == name);
         match (of("red"), of("green"), of("blue")) {
@@ -91,7 +93,7 @@ impl Style {
         }
     }
 
-    /// The style of a mask by the name of its band.
+    /// Style of a mask by the name of its band, which is also its label.
     pub fn mask(name: &'static str) -> Self {
         Self::Mask(name, if name == "vegetation" { "#2e8b3a" } else { "#14143c" })
     }
@@ -101,7 +103,7 @@ impl Style {
         matches!(self, Self::Heights(_) | Self::Shades(_))
     }
 
-    /// The renderer and what follows it.
+    /// Renderer of the style and its display settings, as XML.
     fn pipe(&self) -> String {
         let (template, [low, high]) = match self {
             Self::Heights(range) | Self::Amounts(range) => (include_str!("style/heights.xml"), *range),
@@ -133,7 +135,7 @@ impl Style {
         format!(" <pipe>\n{text}  <brightnesscontrast brightness=\"0\" contrast=\"0\" gamma=\"{gamma}\"/>\n </pipe>\n")
     }
 
-    /// The style file.
+    /// Content of the style file.
     pub fn qml(&self) -> String {
         format!(
             "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n<qgis version=\"3.22.0\" styleCategories=\"Symbology\">\n{}\
@@ -143,23 +145,23 @@ impl Style {
         )
     }
 
-    /// QGIS' number of how a layer is laid over those below: 6 multiplies, for the hillshade.
+    /// QGIS number of a layer's blend mode: 6 multiplies by the layers below, for the hillshade.
     fn blend_mode(&self) -> u8 {
         if matches!(self, Self::Shades([1.0, _])) { 6 } else { 0 }
     }
 }
 
-/// A raster that a layer file opens, in the words of that file.
+/// Raster in a layer file, as that file's XML.
 #[derive(Debug, Clone)]
 pub struct Layer {
-    /// Its file, seen from the folder of the layer file.
+    /// File of the raster, relative to the folder of the layer file.
     pub file: String,
     tree: String,
     map: String,
 }
 
 impl Layer {
-    /// A raster in a coordinate system under a title.
+    /// Layer of a raster file with a title, a style and a coordinate system.
     pub fn new(file: &str, title: &str, style: &Style, crs: &Crs) -> Self {
         let code =
             Some(crs.definition()).filter(|definition| definition.starts_with("EPSG:") && !definition.contains('+'));
@@ -189,7 +191,7 @@ impl Layer {
         }
     }
 
-    /// The raster `file` as an earlier layer file opens it; `None` where it does not.
+    /// Layer of the raster `file` in `layers`, the content of an earlier layer file; `None` where it is not there.
     pub fn earlier(layers: &str, file: &str) -> Option<Self> {
         let name = escaped(&located(file));
         let tree = layers
@@ -206,7 +208,7 @@ impl Layer {
     }
 }
 
-/// A file of the folder, or of another one, as layer files and items name it.
+/// Reference to a file in the folder or in another one, as in layer files and items.
 pub(crate) fn located(file: &str) -> String {
     match file.starts_with("../") {
         true => file.to_owned(),
@@ -214,11 +216,11 @@ pub(crate) fn located(file: &str) -> String {
     }
 }
 
-/// The layer file of a group, the topmost layer first.
+/// Content of the layer file of a group, the topmost layer first.
 pub fn layer_file(group: &str, layers: &[Layer]) -> String {
     let tree: String = layers.iter().map(|layer| layer.tree.as_str()).collect();
     let maps: String = layers.iter().map(|layer| layer.map.as_str()).collect();
-    // The outer group is none: QGIS takes what is in it.
+    // QGIS drops the outer group and takes its contents.
     format!(
         "<!DOCTYPE qgis-layer-definition>\n<qlr>\n <layer-tree-group name=\"\" checked=\"Qt::Checked\" expanded=\"1\">\n \
          <layer-tree-group name=\"{}\" checked=\"Qt::Checked\" expanded=\"1\">\n{tree} </layer-tree-group>\n </layer-tree-group>\n \
@@ -234,7 +236,7 @@ fn escaped(text: &str) -> String {
         .replace('"', "&quot;")
 }
 
-/// Steps of colour from low to high.
+/// Items of a colour ramp from low to high, as XML.
 fn items(colours: &[&str], [low, high]: [f32; 2]) -> String {
     let last = colours.len().saturating_sub(1).max(1) as f32;
     let mut text = String::new();
@@ -248,7 +250,7 @@ fn items(colours: &[&str], [low, high]: [f32; 2]) -> String {
     text
 }
 
-/// The range of most of what is known, never empty.
+/// Range of the known values between their two cuts, never empty.
 fn range(plane: &[f32]) -> [f32; 2] {
     let step = (plane.len() / SAMPLES).max(1);
     let mut known: Vec<f32> = plane.iter().copied().step_by(step).filter(|v| v.is_finite()).collect();

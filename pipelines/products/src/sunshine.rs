@@ -1,11 +1,11 @@
 //! Products of light for planners: hours of direct sun, sky view factor, and irradiation under a clear sky.
 //!
-//! All three come from the surface model. For each of `SECTORS` azimuths one sweep finds how high the surface stands against the sky,
-//! seen from every cell; a sun in that sector lights the cell while it stands higher. Terrain beyond the model casts no
-//! shadow, and light reflected by other surfaces is not counted.
+//! All three come from the surface model. For each of `SECTORS` azimuths one sweep finds the horizon of every cell; a
+//! sun in that sector lights the cell while it stands above the horizon. Terrain beyond the model casts no shadow, and
+//! light reflected by other surfaces is not counted.
 //!
-//! Sky view factor of an inclined surface: J. Dozier and J. Frew, "Rapid calculation of terrain parameters for radiation modeling from
-//! digital elevation data", IEEE Trans. Geosci. Remote Sensing 28(5), 1990.
+//! Sky view factor of an inclined surface: J. Dozier and J. Frew, "Rapid calculation of terrain parameters for
+//! radiation modeling from digital elevation data", IEEE Trans. Geosci. Remote Sensing 28(5), 1990.
 
 mod clear_sky;
 mod facets;
@@ -24,12 +24,12 @@ use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 use suns::Suns;
 
-/// Azimuths for which the horizon is found.
+/// Number of azimuths for which the horizon is found.
 const SECTORS: usize = 360;
-/// Azimuths that are swept at a time: their horizons are held in memory together.
+/// Number of azimuths that are swept at a time: their horizons are held in memory together.
 const AT_ONCE: usize = 8;
 
-/// Hours of sun, sky view factor, irradiation; `NaN` where the surface is not known.
+/// Hours of sun, sky view factor and irradiation, one band each; `NaN` where the surface is unknown.
 pub struct Sunshine {
     /// Hours of direct sun per day, mean over the days of the period.
     pub sun_hours: Raster,
@@ -44,11 +44,12 @@ pub struct Sunshine {
 struct Gathered {
     hours: f64,
     sky_view: f64,
-    /// Sum of the sun's beam over what is seen of its path, Wh/m², as a vector toward it: east, north, up.
+    /// Sum of the sun's beam over the visible part of its path, Wh/m², as a vector toward it: east, north, up.
     beam_wh_m2: [f64; 3],
 }
 
-/// Follows the sun over a surface (`altitude_m`, one band on the grid of `nadir`) on all days of a period, at a place.
+/// Sunshine of a surface (`altitude_m`, metres, one band on the grid of `nadir`) on all days of a period, under the sun
+/// and the air of `place`.
 pub fn sunshine(nadir: &NadirGrid, altitude_m: &Raster, place: GeoPoint, period: &Period) -> Sunshine {
     let cells = nadir.cell_vectors_m(place.height_m);
     let facets = Facets::of(altitude_m, &cells);
@@ -89,13 +90,14 @@ pub fn sunshine(nadir: &NadirGrid, altitude_m: &Raster, place: GeoPoint, period:
     }
 }
 
-/// The middle of a sector.
+/// Azimuth of the middle of a sector, radians.
 fn azimuth_rad(sector: usize) -> f64 {
     (sector as f64 + 0.5) / SECTORS as f64 * TAU
 }
 
 impl Gathered {
-    /// Adds what is seen in a sector above a horizon (tangent of its elevation) from a surface with this normal.
+    /// Adds the sunshine and the sky of a sector above a horizon (tangent of its elevation) for a surface with this
+    /// normal.
     fn add(&mut self, sector: usize, tangent: f64, normal: &[f64; 3], suns: &Suns) {
         if tangent.is_nan() {
             return;

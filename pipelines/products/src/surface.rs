@@ -1,12 +1,12 @@
 //! Altitude of the surface of Gaussians in the cells of a grid, seen from straight above.
 //!
-//! One look through the middle of every cell errs beside walls, for two reasons:
-//! * Gaussians let light through independently of each other, but those of a wall stand one below the other. Ten of them, each of
-//!   which shows a fifth of itself in the cell beside the wall, would cover nine tenths of that cell, and its altitude would be
-//!   somewhere in the wall. So what stands upright counts as far as it faces up; but leaves (`leaves.rs`), which have no
-//!   sides, count whole.
-//! * A cell has as many altitudes as places, and the middle one is what a cell is said to have. So every cell is looked at in
-//!   3 x 3 places.
+//! A single ray through the middle of every cell errs beside walls, for two reasons:
+//! * Gaussians let light through independently of each other, but those of a wall stand one below the other. Ten of
+//!   them, each of which shows a fifth of itself in the cell beside the wall, would cover nine tenths of that cell, and
+//!   its altitude would be somewhere in the wall. So upright Gaussians count as far as they face up; but leaves
+//!   (`leaves.rs`), which have no sides, count whole.
+//! * Altitudes differ within a cell, and the altitude of a cell is their median. So every cell is sampled at 3 x 3
+//!   places.
 //!
 //! Cells whose rays meet surfaces at many altitudes are uncertain, and take the altitude of the certain cells around
 //! them ([`smooth_by_deviation`]); crowns keep their roughness.
@@ -27,20 +27,20 @@ use rayon::prelude::*;
 /// Alpha below which a pixel has no altitude.
 pub(super) const ALPHA_KNOWN: f32 = 0.5;
 
-/// Places in a cell, along each side of it.
+/// Sampled places along each side of a cell.
 const PLACES: usize = 3;
-/// Share of a cell's doubt that is left where leaves are the surface by excess green alone: lawns have it too, and what is matched above
-/// them in doubt is no crown (docs/lab/surface.md, by ablation).
+/// Share of a cell's uncertainty that is left where leaves are the surface by excess green alone: lawns have it too,
+/// and uncertain altitudes above them are no crown (docs/lab/surface.md, by ablation).
 const GREEN_DOUBT: f32 = 0.5;
 /// Leaves within this distance of the surface are the surface, metres.
 const ONE_CROWN_M: f32 = 1.0;
 
-/// The Gaussians of a satellite model, as far as they are a surface.
+/// Gaussians of a satellite model, with the properties from which their surface follows.
 #[derive(Clone, Copy)]
 pub struct SurfaceGaussians<'a> {
-    /// The Gaussians.
+    /// Table of the Gaussians.
     pub gaussians: &'a Table,
-    /// Bands of their albedo.
+    /// Number of bands of their albedo.
     pub bands: usize,
     /// Vegetation index that separates leaves by these bands, if there is one.
     pub leaves: Option<VegetationIndex>,
@@ -51,7 +51,7 @@ pub struct SurfaceGaussians<'a> {
 }
 
 impl SurfaceGaussians<'_> {
-    /// Share of a cell's doubt that is left where leaves are the surface.
+    /// Share of a cell's uncertainty that is left where leaves are the surface.
     fn doubt_of_leaves(&self) -> f32 {
         match self.leaves {
             Some(VegetationIndex::Green(_)) => GREEN_DOUBT,
@@ -77,13 +77,13 @@ impl<'a> From<&'a LoadedModel> for SurfaceGaussians<'a> {
 pub(super) struct Cell {
     /// Accumulated alpha, 0 to 1.
     pub coverage: f32,
-    /// Altitude above the frame's origin, metres; NaN where nothing is.
+    /// Altitude above the frame's origin, metres; NaN where unknown.
     pub up_m: f32,
-    /// Mean squared distance of what a ray meets to that altitude, metres².
+    /// Mean squared distance between that altitude and the Gaussians along a ray, metres².
     pub spread_m2: f32,
 }
 
-/// The cells that are the pixels, `cell_m` metres wide, of `nadir`, a camera that looks straight down.
+/// Cells of a surface: the pixels, `cell_m` metres wide, of `nadir`, a camera that looks straight down.
 pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: f32) -> Vec<Cell> {
     let index = input
         .leaves
@@ -111,7 +111,7 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
     });
     let looks = looks(input, is_leaf.as_deref(), nadir);
     let count = all.alpha.len();
-    // Cliffs face nowhere but aside: there the one look at all that stands has to do.
+    // Cliffs have no upward face: there the depths of all Gaussians along one ray serve.
     let or = |depth: Option<f32>, of_all: f32| depth.unwrap_or(of_all);
     let range: Vec<[f32; 3]> = (0..count)
         .into_par_iter()
@@ -155,13 +155,13 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
         .collect()
 }
 
-/// Median of a depth over the looks that have one.
+/// Median of a depth over the sampled places that have one.
 fn median_of(looks: &[RayDepths], depth: impl Fn(&RayDepths) -> f32) -> Option<f32> {
     let mut known: Vec<f32> = looks.iter().map(depth).filter(|z| z.is_finite()).collect();
     upper_median(&mut known)
 }
 
-/// Median depths of leaves alone, metres, NaN where there are few.
+/// Median depths of leaves alone, metres; NaN where their coverage is low.
 fn leaf_depths(input: &SurfaceGaussians, is_leaf: &[bool], nadir: &ProjectiveCamera) -> Vec<f32> {
     let mut alone = input.gaussians.clone();
     for (opacity, &is_leaf) in alone.group_mut(OPACITY).iter_mut().zip(is_leaf) {
@@ -178,17 +178,17 @@ fn leaf_depths(input: &SurfaceGaussians, is_leaf: &[bool], nadir: &ProjectiveCam
     median_depth
 }
 
-/// Depths along the rays of one place of each cell, metres; NaN where little is.
+/// Depths along the rays of one place of each cell, metres; NaN where the coverage is low.
 struct RayDepths {
     near: Vec<f32>,
     median: Vec<f32>,
     far: Vec<f32>,
 }
 
-/// Depths of what faces up in each of the places of the cells.
+/// Depths of upward faces at each of the sampled places of the cells.
 fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveCamera) -> Vec<RayDepths> {
     let facing = facing_up(input.gaussians, is_leaf);
-    // The filter of a pixel as wide as a place.
+    // The filter of a pixel as wide as a sampled place.
     let projection = ProjectionOptions {
         filter_px2: input.projection.filter_px2 / (PLACES * PLACES) as f32,
         ..input.projection
@@ -215,7 +215,7 @@ fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveC
     (0..PLACES * PLACES).map(look).collect()
 }
 
-/// Leaves no depth where the rays meet little.
+/// Sets depths to NaN where the coverage is low.
 fn forget_thin(depth: &mut [f32], alpha: &[f32]) {
     for (depth, &alpha) in depth.iter_mut().zip(alpha) {
         if alpha < ALPHA_KNOWN {
@@ -224,7 +224,8 @@ fn forget_thin(depth: &mut [f32], alpha: &[f32]) {
     }
 }
 
-/// The Gaussians, less opaque the more upright they stand: whole up to a slope of 45 degrees, `2 cos²` of it beyond. Leaves stay as they are.
+/// The Gaussians with opacities reduced by their slope: unchanged up to 45 degrees, times `2 cos²` of the slope beyond.
+/// Leaves stay as they are.
 fn facing_up(gaussians: &Table, is_leaf: Option<&[bool]>) -> Table {
     let mut out = gaussians.clone();
     let opacities = out.group_mut(OPACITY).par_iter_mut().with_min_len(1024);
@@ -251,7 +252,8 @@ mod tests {
     const CELL_M: f32 = 0.5;
     const BANDS: [BandKind; 2] = [BandKind::Red, BandKind::NearInfrared];
 
-    /// Discs of 0.65 cells, 0.3 thick, given by their places, how they are turned, and their near infrared where red is 0.2.
+    /// Discs of 0.65 cells, 0.3 thick, given by their places, how they are turned, and their near infrared where red is
+    /// 0.2.
     fn discs(of: &[(Vec3, Quat, f32)]) -> Table {
         let mut groups = core_groups();
         groups.push(GroupSpec::new("albedo", BANDS.len()));

@@ -1,12 +1,14 @@
 //! Shadows of a surface model on itself, by one sweep of lines away from the sun.
 //!
-//! From one row to the next (or one column, whichever the sun lies along) a ray moves by less than a cell aside. It carries the altitude
-//! below which it is dark and how far behind stands what throws that shadow, and is never resampled: shadows do not blur with their length. A cell
-//! lies between two rays and sees what both see, interpolated. The sun is a disc. At last what a cell sees is averaged with its
-//! neighbours, since altitudes say where an edge stands to about half a cell.
+//! From one row to the next (or one column, whichever is nearer to the sun's azimuth) a ray moves aside by less than a
+//! cell. It carries the altitude below which it is dark and the distance of the caster of that shadow, and is never
+//! resampled: shadows do not blur with their length. A cell lies between two rays, and its visibility is interpolated
+//! between theirs. The sun is a disc. Finally visibility is averaged over neighbouring cells, since altitudes place an
+//! edge to about half a cell.
 //!
-//! The page of `view` casts its shadows by the same sweep (`pipelines/pages/src/view/page/sweep.js`) with the same numbers ([`CASTER`]).
-//! Limits: one altitude for each cell, so nothing is seen under crowns and bridges; unknown cells throw no shadow.
+//! The page of `view` casts its shadows by the same sweep (`pipelines/pages/src/view/page/sweep.js`) with the same
+//! numbers ([`CASTER`]). Limits: each cell has one altitude, so the space under crowns and bridges is missing; unknown
+//! cells cast no shadow.
 
 use crate::model::LoadedModel;
 use crate::nadir::{CellVectors, NadirGrid};
@@ -19,18 +21,18 @@ use std::f32::consts::PI;
 pub struct Caster {
     /// Mean radius of the sun's disc as seen from the Earth, radians.
     pub sun_radius_rad: f64,
-    /// Rise over run between two cells from which on a wall stands between them: altitudes are not interpolated over it.
+    /// Rise over run between two cells above which a wall stands between them: altitudes are not interpolated over it.
     pub steep: f32,
     /// Distance of a wall's upper edge beyond the middle of the last high cell, cells.
     pub edge_cells: f32,
-    /// Height above the surface from which cells look at the sun, metres: less than altitudes err by, and enough that level roofs do
-    /// not speckle themselves.
+    /// Height above the surface at which visibility is computed, metres: less than the error of altitudes, and enough
+    /// that level roofs do not speckle themselves.
     pub lift_m: f32,
-    /// A cell that rises less than this above a far shadow, and lies in its half-shade, does not hide the caster of that shadow, metres.
+    /// Least height above a far shadow, metres, at which a cell in its half-shade hides the caster of that shadow.
     pub low_m: f32,
 }
 
-/// The numbers that masks and the page use.
+/// Numbers of shadow masks and of the page.
 pub const CASTER: Caster = Caster {
     sun_radius_rad: 0.2666 * std::f64::consts::PI / 180.0,
     steep: 1.0,
@@ -39,7 +41,7 @@ pub const CASTER: Caster = Caster {
     low_m: 1.0,
 };
 
-/// A surface that throws shadows.
+/// Surface that casts shadows on itself.
 pub struct SurfaceShadows {
     width: usize,
     /// Altitudes above the local frame's origin, metres; NaN where unknown.
@@ -62,7 +64,7 @@ struct Sweep {
     step_m: f32,
     /// Drop of the sun's rays from line to line, metres.
     drop_m: f32,
-    /// Height that the sun's radius spans per line between a cell and what shades it, metres.
+    /// Height that the sun's radius spans per line between a cell and the caster of its shadow, metres.
     blur_m: f32,
 }
 
@@ -71,17 +73,17 @@ struct Sweep {
 struct Ray {
     /// Altitude below which it is dark, metres.
     dark_m: f32,
-    /// Lines since what throws the shadow.
+    /// Lines since the caster of the shadow.
     behind: f32,
 }
 
 impl SurfaceShadows {
-    /// A surface of these altitudes, metres, NaN where unknown, in rows of `width` cells.
+    /// Surface of these altitudes, metres above the frame's origin, NaN where unknown, in rows of `width` cells.
     pub fn of_heights(width: usize, up_m: Vec<f32>, cells: CellVectors) -> Self {
         Self { width, up_m, cells }
     }
 
-    /// The surface of `model` on the grid of `nadir`, as a surface model has it.
+    /// Surface of `model` on the grid of `nadir`, unknown where the Gaussians do not cover a cell.
     pub(crate) fn new(model: &LoadedModel, nadir: &NadirGrid) -> Self {
         let cells = surface::cells(&model.into(), &nadir.camera, nadir.cell_m());
         let up_m = |cell: &surface::Cell| {
@@ -98,7 +100,7 @@ impl SurfaceShadows {
         }
     }
 
-    /// Share of the sun that each cell sees, 0 to 1; NaN where the altitude is unknown.
+    /// Visibility of the sun's disc from each cell, 0 to 1; NaN where the altitude is unknown.
     pub fn lit(&self, sun: &SunPosition) -> Vec<f32> {
         let mut lit: Vec<f32> = self.up_m.iter().map(|up_m| up_m * 0.0 + 1.0).collect();
         if let Some(sweep) = self.sweep(sun) {
@@ -135,7 +137,7 @@ impl SurfaceShadows {
         })
     }
 
-    /// Writes what the known cells see of the sun.
+    /// Writes the visibility of the known cells to `lit`.
     fn cast(&self, sweep: &Sweep, lit: &mut [f32]) {
         let moved = sweep.aside.abs() * sweep.lines as f64;
         // Ray r is at cell r + base + line * aside.
@@ -160,7 +162,7 @@ impl SurfaceShadows {
             for k in 0..sweep.across {
                 let up_m = self.up_m[place(k)];
                 if up_m.is_finite() {
-                    // It lies between the rays k - whole - 1 and k - whole.
+                    // The cell lies between the rays k - whole - 1 and k - whole.
                     let first = (k as i64 - whole - 1) as usize;
                     let [a, b] =
                         [rays[first], rays[first + 1]].map(|ray| sweep.seen(up_m + CASTER.lift_m - ray.dark_m, &ray));
@@ -182,8 +184,8 @@ impl SurfaceShadows {
         }
     }
 
-    /// The shares averaged with their neighbours, weights 1, 2, 1 along rows and columns; in the place of a neighbour that is unknown the cell
-    /// itself counts.
+    /// Visibility averaged over neighbours, weights 1, 2, 1 along rows and columns; the cell itself takes the place of
+    /// an unknown neighbour.
     fn averaged(&self, lit: &[f32]) -> Vec<f32> {
         let (width, count) = (self.width, lit.len());
         let along = |of: &[f32], stride: usize, has: &dyn Fn(usize) -> [bool; 2]| -> Vec<f32> {
@@ -203,7 +205,7 @@ impl SurfaceShadows {
 }
 
 impl Sweep {
-    /// Share of the sun that is seen from this far above a ray's shadow, metres.
+    /// Visible share of the sun at a height above a ray's shadow, metres.
     fn seen(&self, above_m: f32, ray: &Ray) -> f32 {
         let half_m = self.blur_m * ray.behind;
         if above_m >= half_m {
@@ -216,7 +218,8 @@ impl Sweep {
         0.5 + (u * (1.0 - u * u).sqrt() + u.asin()) / PI
     }
 
-    /// Altitude at a share of the way from one cell to the next: linear, but not over walls; beside an unknown cell that of the known one.
+    /// Altitude at a share of the way from one cell to the next: linear, but not over walls; beside an unknown cell the
+    /// altitude of the known one.
     fn between(&self, a: f32, b: f32, part: f32) -> f32 {
         match (a.is_nan(), b.is_nan()) {
             (true, _) => b,
@@ -232,7 +235,7 @@ impl Sweep {
         }
     }
 
-    /// Takes a ray over a line whose altitude there is `up_m` (NaN: unknown), to the next one.
+    /// Moves a ray over a line of altitude `up_m` (metres, NaN: unknown) to the next one.
     fn pass(&self, ray: &mut Ray, up_m: f32) {
         let clear_m = up_m - ray.dark_m;
         if clear_m >= CASTER.low_m || clear_m >= self.blur_m * ray.behind {

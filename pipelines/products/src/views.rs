@@ -10,39 +10,40 @@ use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_evaluate::image::{ImageScore, score_image};
 use heliosplat_scene::{crop, saturation};
 
-/// The engine's camera of an image of a run.
+/// Camera of an image of a run: its crop, with the correction of its pointing.
 pub fn camera_of(image: &ModelImage) -> ProjectiveCamera {
     crop::camera(&image.map, &image.crop, image.shift_px)
 }
 
 /// An image of a run, rendered.
 pub struct RenderedView {
-    /// Its colours, in the model's units; NaN where the model shows nothing.
+    /// Colours, in the model's units; NaN where the model shows nothing.
     pub image: Raster,
-    /// Share of the sun that reaches each pixel by the trace; NaN where the model shows nothing, and everywhere where the sun is unknown.
+    /// Traced visibility of the sun from each pixel, 0 to 1; NaN where the model shows nothing, and everywhere where
+    /// the sun is unknown.
     pub traced: Raster,
-    /// Visibility after the image refined the borders of shadows ([`Evidence`]); as traced without the image, or
-    /// without an image of its day among those of training.
+    /// Visibility of the sun after the image refined the borders of shadows ([`Evidence`]); as traced without the
+    /// image, or without a training image of its day.
     pub visibility: Raster,
-    /// Source of its colours.
+    /// Source of the colours.
     pub colour: Colouring,
 }
 
 /// Source of the colours of a rendered view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Colouring {
-    /// Trained on the image itself.
+    /// Colours trained on the image itself.
     Own,
     /// Colours of an image of the same day.
     SameDay,
-    /// Fitted to the left half of the image: only the right one may be scored.
+    /// Colours fitted to the left half of the image: only the right one may be scored.
     LeftHalf,
     /// Colours of the model's reference image.
     Reference,
 }
 
 impl Colouring {
-    /// For reports.
+    /// Description of the source for reports.
     pub fn text(self) -> &'static str {
         match self {
             Self::Own => "its own",
@@ -53,9 +54,9 @@ impl Colouring {
     }
 }
 
-/// Renders an image of a run in its own colours. One that was not trained on takes those of an image of the same day; without
-/// such an image, colours fitted to the left half of `truth` (sun, sky and offset per band); without truth, those of the
-/// reference image.
+/// Renders an image of a run in its own colours. An image that was not trained on takes those of an image of the same
+/// day; without such an image, colours fitted to the left half of `truth` (sun, sky and offset per band); without
+/// truth, those of the reference image.
 pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raster>) -> RenderedView {
     let camera = camera_of(image);
     let light = image.sun.filter(|_| model.file.has_light()).map(|sun| {
@@ -135,7 +136,8 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
     }
 }
 
-/// One band of a date's light: `sun · F L + sky · F (1 - L) + offset`, `L` the sun's light on a pixel.
+/// Light of one band on a date: `sun · F L + sky · F (1 - L) + offset`, with the albedo `F` and the sun's light `L` of
+/// a pixel.
 struct BandLight([f64; 3]);
 
 impl BandLight {
@@ -147,7 +149,7 @@ impl BandLight {
     }
 }
 
-/// Least squares over the left half of the image.
+/// Light of a band by least squares over the left half of the image.
 fn fit_band(albedo: &[f32], sunlight: &[f32], truth: &[f32], width: usize) -> BandLight {
     let mut normal = nalgebra::Matrix3::<f64>::identity() * 1e-6;
     let mut right = nalgebra::Vector3::<f64>::new(1e-6, 3e-7, 0.0);
@@ -165,8 +167,8 @@ fn fit_band(albedo: &[f32], sunlight: &[f32], truth: &[f32], width: usize) -> Ba
     BandLight([solution.x, solution.y, solution.z])
 }
 
-/// Scores of a rendered view, clipped as its pixels are, against them; on its right half only where colours were fitted to the left
-/// one. `rgb` as in [`score_image`].
+/// Scores of a rendered view, clipped at the saturation of `truth`, against `truth`; on the right half only where
+/// colours were fitted to the left one. `rgb` as in [`score_image`]; `None` where no pixel is known in both.
 pub fn score(rendered: &RenderedView, truth: &Raster, rgb: Option<[usize; 3]>) -> Option<ImageScore> {
     let mut truth = truth.clone();
     if rendered.colour == Colouring::LeftHalf {
@@ -179,7 +181,7 @@ pub fn score(rendered: &RenderedView, truth: &Raster, rgb: Option<[usize; 3]>) -
     }
     let mut image = rendered.image.clone();
     for (band, ceiling) in saturation::ceilings(&truth).into_iter().enumerate() {
-        // NaN stays.
+        // NaN is not above the ceiling and stays.
         let above = image.plane_mut(band).iter_mut().filter(|value| **value > ceiling);
         above.for_each(|value| *value = ceiling);
     }

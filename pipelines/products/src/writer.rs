@@ -1,4 +1,4 @@
-//! Products on one grid, written one after the other, each noted for the STAC item that comes last.
+//! Products on one grid, written one after the other, and recorded for the STAC item, which is written last.
 
 use super::change::{self, ChangeMap};
 use super::dsm::{self, BANDS, Dsm, UNITS};
@@ -31,26 +31,26 @@ const THUMBNAIL_PX: usize = 512;
 /// Metadata of an item besides its assets.
 #[derive(Debug, Clone)]
 pub struct ItemMetadata<'a> {
-    /// Its name.
+    /// Name of the item.
     pub id: &'a str,
-    /// When the images were taken; not empty.
+    /// Acquisition times of the images; not empty.
     pub times: &'a [Timestamp],
-    /// The sun of all products, where there is but one.
+    /// Sun of all products; `None` where there is not exactly one.
     pub sun: Option<&'a SunPosition>,
-    /// Name of the collection it belongs to and where that is, if any.
+    /// Name of the collection of the item and its location relative to the item, if any.
     pub collection: Option<(&'a str, &'a str)>,
 }
 
-/// Written products.
+/// Products that were written.
 #[derive(Debug)]
 pub struct Set {
     /// The STAC item.
     pub item: Value,
-    /// The files, `item.json` last.
+    /// Paths of the files, `item.json` last.
     pub files: Vec<PathBuf>,
-    /// Their names in the folder.
+    /// Names of the files in the folder.
     pub names: Vec<String>,
-    /// Share of the grid whose altitude is known.
+    /// Share of the grid whose altitude is known, 0 to 1.
     pub completeness: f64,
 }
 
@@ -68,11 +68,12 @@ pub struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// Nothing yet; rasters will lie on `grid` with cells of `gsd_m` metres. An item that describes earlier products in `out` is removed until
-    /// the end, since a folder that has one is complete; what of them stays is in the new one again.
+    /// Writer of rasters on `grid` with cells of `gsd_m` metres into the folder `out`. An item of earlier products in
+    /// `out` is removed until the end, since a folder with an item is complete; products that are not written anew stay
+    /// and return in the new item.
     ///
     /// # Errors
-    /// When it cannot be removed.
+    /// When the earlier item cannot be removed.
     pub fn new(grid: &'a GridSpec, gsd_m: f64, out: &'a Path) -> Result<Self, RasterError> {
         let [item, layers] = [ITEM, LAYERS].map(|name| bounded::read_text(&out.join(name)).unwrap_or_default());
         remove(&out.join(ITEM))?;
@@ -122,10 +123,10 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Writes what changed between the images.
+    /// Writes the map of changes between the images.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// When a file cannot be written.
     pub fn changes(&mut self, changes: &ChangeMap) -> Result<(), RasterError> {
         const TITLES: [&str; 3] = [
             "Change of heights between the first image and the last",
@@ -147,7 +148,7 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Notes a raster of one band, which is written already.
+    /// Records a raster of one band, which is written already.
     fn described(&mut self, file: &Path, title: &str, raster: &Raster, band: Band, numbers: Numbers) {
         let key = file.file_stem().unwrap_or_default().to_string_lossy();
         let names = (&*key, &*file.to_string_lossy(), title);
@@ -172,7 +173,7 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Writes how a raster is shown beside it, and notes it for the layer file.
+    /// Writes the style of a raster beside it, and records the raster for the layer file.
     fn styled(&mut self, file: &str, title: &str, style: Style) -> Result<(), RasterError> {
         style.write(&self.out.join(file))?;
         self.layered(file, title, &style);
@@ -183,13 +184,14 @@ impl<'a> Writer<'a> {
         self.layers.push(Layer::new(file, title, style, &self.grid.crs));
     }
 
-    /// The surface model and its hillshade. Where the folder is that of a run which has the same surface model, that one is referred to.
+    /// Writes the surface model, the ground below it, the heights above the ground, and a hillshade. In the products
+    /// folder of a run with an equal surface model, the item refers to that one instead.
     ///
     /// # Errors
     /// When a file cannot be written.
     pub fn surface(&mut self, dsm: &Dsm) -> Result<(), RasterError> {
         self.vertical_datum = dsm.vertical_datum();
-        // The folder itself may not be there yet.
+        // The parent's path is used, since the folder itself may not exist yet.
         let of_run = self.out.parent().map(|run| run.join("dsm.tif"));
         let first = match of_run.is_some_and(|path| path.is_file() && dsm.is_in(&path)) {
             true => Path::new(OF_RUN),
@@ -223,7 +225,7 @@ impl<'a> Writer<'a> {
         self.bytes(("hillshade", title, "shade"), &shade, Bytes::Shades, None)
     }
 
-    /// The ground below the surface, and what stands on it.
+    /// Writes the ground below the surface, and the heights above it.
     fn ground(&mut self, dsm: &Dsm, cell_m: f32) -> Result<(), RasterError> {
         let (mut ground, mut above) = (dsm.altitude(), dsm.altitude());
         ground.values = drape::ground((ground.width, ground.height), cell_m, &ground.values);
@@ -239,7 +241,7 @@ impl<'a> Writer<'a> {
         self.quantity(("ndsm", title), &above, ("height_above_ground", "metre"), &[], style)
     }
 
-    /// The albedo and, where it has a vegetation index, what of it is vegetation.
+    /// Writes the albedo with a thumbnail and, where there is a vegetation index, the vegetation mask.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -252,7 +254,7 @@ impl<'a> Writer<'a> {
         let title = "True-ortho albedo, relative to level ground in full sun";
         self.floats(("albedo", title), albedo, bands, None)?;
         let (width, height) = (self.grid.width, self.grid.height);
-        // A strip keeps a pixel of its shorter side.
+        // A narrow strip keeps at least one pixel of its shorter side.
         let smaller = width.max(height).div_ceil(THUMBNAIL_PX).min(width.min(height)).max(1);
         write_png(&self.out.join(THUMBNAIL), &stretched(&albedo.downscaled(smaller)))?;
         self.assets.push(Asset::other(
@@ -268,7 +270,7 @@ impl<'a> Writer<'a> {
         self.bytes(names, &leaves, Bytes::Mask, None)
     }
 
-    /// The ortho image under a sun, in counts, and its shadows.
+    /// Writes the ortho image under a sun, in counts, and its shadow mask.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -285,7 +287,7 @@ impl<'a> Writer<'a> {
         self.bytes(names, shadows, Bytes::Mask, Some(sun))
     }
 
-    /// Hours of direct sun, sky view factor and irradiation of a period.
+    /// Writes hours of direct sun, sky view factor and irradiation of a period.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -352,7 +354,7 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// The shadows of a date.
+    /// Writes the shadow mask of a date.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -361,27 +363,27 @@ impl<'a> Writer<'a> {
         self.bytes((&key, &title, "shadow"), shadows, Bytes::Mask, Some(sun))
     }
 
-    /// Notes a point cloud that was written beside the rasters.
+    /// Records a point cloud that was written beside the rasters.
     pub fn points(&mut self, file: &str, count: usize) {
         self.assets.push(Asset::points(file, count));
     }
 
-    /// Notes 3D Tiles that were written beside the rasters; `file` is their `tileset.json`.
+    /// Records 3D Tiles that were written beside the rasters; `file` is their `tileset.json`.
     pub fn tiles(&mut self, key: &str, file: &str, title: &str) {
         let asset = Asset::other((key, file, title), "application/3dtiles+json", "visual");
         self.assets.push(asset);
     }
 
-    /// Notes a page for people that was written beside the rasters.
+    /// Records a page for people that was written beside the rasters.
     pub fn page(&mut self, file: &str, title: &str) {
         self.assets
             .push(Asset::other(("page", file, title), "text/html", "overview"));
     }
 
-    /// Writes the STAC item of all that was written before.
+    /// Writes the layer file, and last the STAC item of all products.
     ///
     /// # Errors
-    /// When the grid cannot be placed, or the file not be written.
+    /// When the grid lies outside its coordinate system, or a file cannot be written.
     pub fn finish(self, said: &ItemMetadata) -> Result<Set, RasterError> {
         let about = About {
             id: said.id,
@@ -421,7 +423,7 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Metadata items that say which sun a raster stands for.
+/// Metadata items of a raster: the software, and the sun, if any.
 fn metadata(sun: Option<&SunPosition>) -> Vec<(String, String)> {
     let mut items = vec![(
         "SOFTWARE".to_owned(),

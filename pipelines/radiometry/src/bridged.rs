@@ -35,11 +35,12 @@ const REACH_M: f32 = 60.0;
 const LEAST_CONTRAST: f32 = 0.65;
 /// Least difference of the contrast from that on the current surface.
 const LEAST_GAIN: f32 = 0.5;
-/// Most contrast of a part on the current surface: training corrects partial explanations of the light itself.
+/// Most contrast on the current surface of a part that is lowered: with more, the surface explains the light in part,
+/// and training corrects the rest.
 const MOST_CONTRAST_NOW: f32 = 0.4;
 /// Least share of a part's cells that are lit on one date and shaded on another.
 const LEAST_SHARE: f32 = 0.1;
-/// Area of such cells that suffices whatever their share, m².
+/// Area of such cells that suffices at any share, m².
 const LEAST_TESTED_M2: f32 = 5.0;
 /// Distance from a lowered cell within which the level of the ground is measured, metres each way (docs/lab/edges.md).
 const LEVEL_REACH_M: f32 = 18.0;
@@ -62,7 +63,7 @@ const STRIDE: usize = 5;
 pub struct Lowered {
     /// Number of parts.
     pub parts: usize,
-    /// Their ground, m².
+    /// Ground area of these parts, m².
     pub area_m2: f64,
 }
 
@@ -89,7 +90,7 @@ pub fn lower(views: &[SweepView], surface: &mut Surface, changes: &mut Changes) 
         .collect();
     let parts = bridged.len();
     let mut cells: Vec<usize> = bridged.into_iter().flatten().copied().collect();
-    // Parts share cells where both took them along.
+    // Neighbouring parts may share cells at their edges.
     cells.sort_unstable();
     cells.dedup();
     let level_m = levels(&grid, surface, &ground_m, &cells);
@@ -123,7 +124,7 @@ struct SunlitView<'a> {
     view: &'a SweepView<'a>,
     /// `None` where the sun is unknown, or the image shows nothing.
     to_sun: Option<Toward>,
-    /// `None` from straight above, where nothing hides anything.
+    /// `None` for a camera straight above, from which no cell is hidden.
     to_camera: Option<Toward>,
     /// Path radiance, and the median above it.
     dark: f32,
@@ -204,7 +205,7 @@ fn parts(grid: &Grid, surface: &Surface, ground_m: &[f32], changes: &Changes) ->
     groups.map(whole).filter(|part| !part.is_empty()).collect()
 }
 
-/// True if the light of a part (cells in ascending order) is that of ground.
+/// True if the light of a part (cells in ascending order) is evidence of bridged ground.
 fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], lights: &[SunlitView]) -> bool {
     let window = Surroundings::around(grid, part);
     let now = window.contrast(grid, part, lights, &|cell| surface.altitude[cell]);
@@ -236,7 +237,7 @@ fn is_bridged(grid: &Grid, surface: &Surface, ground_m: &[f32], part: &[usize], 
 struct Contrast {
     /// Mean over the cells that are both, a natural logarithm.
     mean: f32,
-    /// Their share.
+    /// Share of the part's cells that are both, 0 to 1.
     share: f32,
 }
 

@@ -1,8 +1,8 @@
 //! Evidence of change from the shadows around a segment, for its two states.
 //!
-//! A house shades ground outside its own lot. Where the two states differ in that, and an image shows the ground, its
-//! darkness identifies the state in the image, independently of all other images. So a side with a single pair of
-//! images, for which matching has little evidence, has as many observations as dates.
+//! A house shades ground outside its own lot. Where the two states shade different ground, its darkness in an image
+//! identifies the state, independently of all other images. So a side with a single pair of images, for which matching
+//! has little evidence, has as many observations as dates.
 //!
 //! Darkness is measured against the other dates on which the same ground is lit. The likelihood of each darkness in the
 //! shadows of the surface of all images, and in its sun, is counted over the whole scene, so that errors of the
@@ -20,12 +20,13 @@ use std::collections::BTreeSet;
 
 /// Classes of darkness.
 const CLASSES: usize = 12;
-/// Natural logarithm of brightness from which on darker is in the last class, and brighter in the first.
+/// Range of the classes each way, natural logarithm of brightness: darker ground is in the last class, brighter ground
+/// in the first.
 const DARKEST: f32 = 1.5;
 /// Tolerance of the elevation up to which a cell counts as lit, degrees: edges of surfaces are ramps.
 const DOUBT_DEG: f64 = 3.0;
-/// Number of cells whose darkness amounts to one independent observation: a patch of dark ground has a size. With twice
-/// as many, repeating patterns such as rows of trees were accepted as buildings (docs/lab/change.md).
+/// Number of cells whose darkness amounts to one independent observation: dark ground comes in patches of several
+/// cells. With twice as many, repeating patterns such as rows of trees were accepted as buildings (docs/lab/change.md).
 const CELLS_OF_ONE: f32 = 2.5;
 /// Most evidence of one date, as a logarithm of likelihood.
 const MOST_OF_DATE: f32 = 16.0;
@@ -37,12 +38,12 @@ struct Date {
     day: i32,
     azimuth_deg: f64,
     elevation_deg: f64,
-    /// Darkness of each cell relative to other dates; NaN where unknown.
+    /// Darkness of each cell relative to other dates, natural logarithm; NaN where unknown.
     darkness: Vec<f32>,
 }
 
 /// Divides `surface` into the states before and after a day, as [`heliosplat_stereo::change::find`], including the
-/// shadows around each segment; `days` are those of the views, days since 1970.
+/// shadows around each segment; `days` are the dates of the views, days since 1970.
 pub fn find(views: &[SweepView], days: &[i32], request: &PlaneSweepRequest, surface: &mut Surface) -> Changes {
     change::find(views, days, request, surface, |grid, altitude_m| {
         let shadows = Shadows::new(views, days, grid, altitude_m);
@@ -159,7 +160,7 @@ impl Shadows {
         tells.then(|| f32::min(before, after))
     }
 
-    /// The cells in reach of the shadows of some others, without these.
+    /// Cells within the reach of shadows of `cells`, without these.
     fn around(&self, cells: &BTreeSet<usize>) -> Vec<usize> {
         let width = self.grid.width;
         let reach = (REACH_M / self.grid.cell_m).ceil() as usize;

@@ -34,8 +34,8 @@ const FEWEST_SHADED: usize = 50;
 /// Pixels next to uncovered ones that do not count either.
 const EDGE_PX: usize = 3;
 
-/// A view's sample of a Gaussian: its pixel, where it is visible, and whether the sun reaches it. At the edge of a
-/// shadow it is neither lit nor shaded.
+/// A view's sample of a Gaussian: its pixel, where it is visible, and its light. At the edge of a shadow it is neither
+/// lit nor shaded.
 struct GaussianSample {
     pixel: Option<u32>,
     lit: bool,
@@ -80,7 +80,7 @@ fn samples(
         .collect()
 }
 
-/// 20th and 80th percentile.
+/// 20th and 80th percentile; `None` for too few values.
 fn spread(values: &mut [f32]) -> Option<(f32, f32)> {
     if values.len() < 50 {
         return None;
@@ -110,7 +110,7 @@ fn colour(reference: &[GaussianSample], truth: &[f32], own: &[GaussianSample], v
     }
 }
 
-/// Pixels that the start surface covers, a few pixels from its edge; the others have weight zero from now on.
+/// Sets the weight of all pixels to zero that the start surface does not cover, or within a few pixels of its edge.
 fn cover(view: &mut View, maps: &Maps) {
     let (width, height) = (maps.width, maps.height);
     let covered: Vec<bool> = maps.alpha.iter().map(|&a| a > COVERED).collect();
@@ -127,12 +127,12 @@ fn cover(view: &mut View, maps: &Maps) {
     });
 }
 
-/// Brightness in shadow relative to the same ground in the sun, for each view and band; `None` where the view has too
+/// Brightness in shadow relative to the same ground in the sun, 0 to 1, `[view][band]`; `None` where the view has too
 /// few pairs.
 pub type Shades = Vec<Vec<Option<f64>>>;
 
 /// Sets albedo and per-image colour of `parameters` from `views`, and restricts the views' weights to the surface.
-/// Returns the shades.
+/// `sky` is the sky's share of the light on level ground, 0 to 1. Returns the shades.
 pub fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [View], sky: f32) -> Shades {
     let bands = model.options.bands;
     let mut occluders = Occluders::new(&parameters.gaussians);
@@ -207,7 +207,7 @@ pub fn initialise(model: &ShadowGs, parameters: &mut Parameters, views: &mut [Vi
     (0..shown.views.len()).into_par_iter().map(shades).collect()
 }
 
-/// The middle of the narrowest range that holds [`SHADE_SHARE`] of the values; `None` of too few.
+/// The middle of the narrowest range that holds [`SHADE_SHARE`] of the values; `None` for too few.
 fn densest(mut values: Vec<f32>) -> Option<f64> {
     if values.len() < FEWEST_SHADED {
         return None;

@@ -7,17 +7,17 @@ pub(crate) use air::CLEAR;
 pub use air::{Evidence, evidence, fit};
 use heliosplat::shade::daylight::BandAir;
 
-/// The light of a run's scene.
+/// Light of a scene as a function of the sun's elevation.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Daylight {
-    /// The air of each band.
+    /// Air of each band.
     pub air: Vec<BandAir>,
-    /// Elevation of the reference image's sun: the gauge.
+    /// Elevation of the reference image's sun, radians; brightness is relative to it.
     pub reference_elevation_rad: f64,
     /// Share of the information on each band's optical depth that comes from the images, 0 to 1; the rest is prior.
     pub images_decide: Vec<f64>,
-    /// Lowest and highest sun of the images, radians.
+    /// Lowest and highest elevation of the images' suns, radians.
     pub suns_rad: [f64; 2],
     /// Robust standard deviation of the images' own gains relative to those expected from their suns, as a share:
     /// exposure and haze.
@@ -25,18 +25,19 @@ pub struct Daylight {
 }
 
 impl Daylight {
-    /// Brightness of sunlit level ground in band `k` under a sun, relative to that under the sun of the reference
-    /// image.
+    /// Brightness of sunlit level ground in band `k` under a sun at an elevation, radians, relative to that under the
+    /// sun of the reference image.
     pub fn gain(&self, k: usize, elevation_rad: f64) -> f64 {
         self.air[k].level(elevation_rad) / self.air[k].level(self.reference_elevation_rad)
     }
 
-    /// Brightness of a shadow in band `k` relative to sunlit ground, 0 to 1.
+    /// Brightness of a shadow in band `k` relative to sunlit ground, 0 to 1, under a sun at an elevation, radians.
     pub fn shade(&self, k: usize, elevation_rad: f64) -> f64 {
         self.air[k].shade(elevation_rad)
     }
 
-    /// True if the values are plausible, for `bands` bands.
+    /// True if there is a possible air and a share of 0 to 1 for each of `bands` bands, all suns are above the horizon,
+    /// and the deviation is finite.
     pub fn is_possible(&self, bands: usize) -> bool {
         let above = |elevation: &f64| elevation.is_finite() && *elevation > 0.0 && elevation.sin() > 0.0;
         self.air.len() == bands
@@ -48,7 +49,7 @@ impl Daylight {
             && self.exposure_sigma.is_finite()
     }
 
-    /// Its values and their share from images, in words.
+    /// One line of text: optical depth and shadow of each band, and the share that the images determine.
     pub fn in_words(&self) -> String {
         let list = |value: &dyn Fn(usize) -> f64| {
             let values: Vec<String> = (0..self.air.len()).map(|k| format!("{:.2}", value(k))).collect();

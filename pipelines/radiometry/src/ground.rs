@@ -4,21 +4,21 @@ use heliosplat_grid::opening;
 
 /// Half of the largest width of structures on the ground, metres: two rows of houses and the court between them.
 const REACH_M: f32 = 12.0;
-/// Least height above the ground that makes another choice, metres.
+/// Least height above the ground of a cell that may be a structure, metres.
 const LEAST_M: f32 = 3.0;
 /// Least probability of a certain altitude.
 const SURE: f32 = 0.97;
 
-/// The ground below the surface `altitude_m`, NaN where it is unknown, on a grid of `(width, height)` cells: its
-/// opening.
+/// Altitude of the ground below a surface, metres, `[row][column]`: the morphological opening of `altitude_m` (metres,
+/// NaN where unknown) on a grid of `(width, height)` cells of `cell_m` metres.
 pub fn ground_below(size: (usize, usize), cell_m: f32, altitude_m: &[f32]) -> Vec<f32> {
     let reach = (REACH_M / cell_m).round() as usize;
     opening(size, altitude_m, [reach; 2])
 }
 
-/// Probability, 0 to 1, that a cell whose altitude is `height_m` above the ground around it is ground instead.
-/// `of_altitude` is the probability of that altitude. `None` where the cell is too low to be anything else, or where
-/// its altitude was certain.
+/// Probability, 0 to 1, that a cell is ground although its altitude is `height_m` metres above the ground around it.
+/// `of_altitude` returns the probability of that altitude, 0 to 1. `None` where the cell is too low to be a structure,
+/// or its altitude is certain.
 pub fn ground_probability(height_m: f32, of_altitude: impl FnOnce() -> f32) -> Option<f32> {
     let probability = (height_m > LEAST_M).then(of_altitude)?;
     (probability < SURE).then_some(1.0 - probability)

@@ -1,5 +1,5 @@
 //! Albedo and colours of images by least squares: with the surface and the light fixed, images are linear in either.
-//! Both before training, and once more the albedo alone after it.
+//! Both are solved before training, and the albedo once more after it.
 //!
 //! Colours: the affine map from the rendering without colours to the image, by normal equations with a ridge toward the
 //! current colours. Albedo: one round of simultaneous iterative reconstruction (Gilbert 1972): a pixel's residual,
@@ -53,19 +53,19 @@ impl Round {
     }
 }
 
-/// Improves the albedo of every Gaussian by all `views` together, and the colours of each image but the reference:
-/// before training.
+/// Before training: improves the albedo of every Gaussian from all `views` together, and the colours of each image but
+/// the reference.
 pub fn begin(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::Before);
 }
 
-/// Improves the albedo of every Gaussian by all `views` together: after training, which leaves errors of its level over
-/// a few metres (docs/lab/shadows.md). Colours stay.
+/// After training: improves the albedo of every Gaussian from all `views` together, because training leaves errors of
+/// its level over a few metres (docs/lab/shadows.md). Colours do not change.
 pub fn finish(model: &ShadowGs, parameters: &mut Parameters, views: &[View]) {
     improve(model, parameters, views, Round::After);
 }
 
-/// Time of [`finish`] with `views` views, in steps of the training.
+/// Time of [`finish`] with `views` views, in training steps.
 pub fn finish_steps(views: usize) -> f64 {
     FINISH_STEPS_PER_VIEW * views as f64
 }
@@ -74,7 +74,7 @@ fn improve(model: &ShadowGs, parameters: &mut Parameters, views: &[View], round:
     let colours = round == Round::Before && model.options.image_colour;
     let plain = colours.then(|| without_colours(model, parameters));
     let mut globals = parameters.globals.clone();
-    // Gradients that are not used.
+    // Required by the backward pass; the gradients are not used.
     let mut unused = Parameters {
         gaussians: Table::zeros(Vec::new(), 0),
         globals: parameters.globals.zeros_like(),
@@ -184,8 +184,8 @@ impl Colour {
         }
     }
 
-    /// The colours that map `plain`, the rendering without colours, to the image of `view`, unless the current ones,
-    /// which give `image`, are close already; `None` where the equations have no solution.
+    /// Colours that map `plain`, the rendering without colours, to the image of `view`, with a ridge toward the current
+    /// ones, which give `image`; `None` where the equations have no solution.
     fn fitted(&self, plain: &Raster, image: &Raster, view: &View) -> Option<Self> {
         let truth = view.truth(image);
         let (bands, plane) = (image.bands, image.plane_len());
@@ -223,7 +223,7 @@ impl Colour {
     }
 }
 
-/// Weighted albedo corrections of each pixel, and the weights.
+/// Weighted albedo corrections of each pixel and band, and their weights.
 fn corrections(model: &ShadowGs, context: &Context, pass: &Pass, view: &View, round: Round) -> (Raster, Raster) {
     let image = pass.image();
     let truth = view.truth(&image);

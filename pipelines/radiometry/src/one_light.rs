@@ -7,7 +7,7 @@
 //! which level ground in shadows is as bright as the ground next to it:
 //!
 //! ```text
-//! shaded = p + F L_shaded    sunlit = p + F L_sunlit        p = (shaded - r sunlit) / (1 - r)    r = L_shaded / L_sunlit
+//! shaded = p + F L_shaded    sunlit = p + F L_sunlit    p = (shaded - r sunlit) / (1 - r)    r = L_shaded / L_sunlit
 //! ```
 //!
 //! for each shaded place and the sunlit ground around it, with `L = s + (1 - s) S` of the sky `s` and the traced share
@@ -58,7 +58,7 @@ const BRIGHTEST: f64 = 0.99;
 /// Least share of the sun on Gaussians in the full sun.
 const FULL_SUN: f32 = 0.9;
 
-/// The one light of all images.
+/// Common light of all images.
 pub struct OneLight {
     /// The light of each image, in the order of their colours.
     lights: Vec<Light>,
@@ -67,7 +67,8 @@ pub struct OneLight {
 }
 
 impl OneLight {
-    /// `None` where an image has no sun, suns differ, or images are few.
+    /// Common light of images with these `suns`; `reference` is the index of the reference image. `None` where an image
+    /// has no sun, suns differ by more than `ONE_LIGHT_DEG`, or there are fewer than `FEWEST_IMAGES`.
     pub fn of(suns: &[ImageSun], reference: usize) -> Option<Self> {
         let directions: Option<Vec<_>> = suns.iter().map(crop::direction).collect();
         let directions = directions?;
@@ -85,9 +86,10 @@ impl OneLight {
         })
     }
 
-    /// Sets the air of `model` from level ground in the view of `nadir`, a camera of pixels of `gsd_m`; without enough
-    /// of it nothing changes. `darkest` bounds the path radiance of each band: before training, when many shadows are
-    /// in wrong places.
+    /// Sets the air of `model` in `parameters` from level ground in the view of `nadir`, a camera straight above with
+    /// pixels of `gsd_m` metres, and limits the albedo of Gaussians outside the full sun. Nothing changes without
+    /// enough shaded ground. `darkest` is an upper bound of the path radiance, per band; it is given before training,
+    /// when many shadows are in wrong places.
     pub fn estimate_air(
         &self,
         model: &ShadowGs,
@@ -155,7 +157,7 @@ impl OneLight {
     }
 }
 
-/// Darkest values of the reference image, band by band: an upper bound of the path radiance (the dark-object
+/// Darkest values of the reference image, per band, at least 0: an upper bound of the path radiance (the dark-object
 /// subtraction of Chavez 1988).
 pub fn darkest(image: &Raster) -> Vec<f32> {
     let of_band = |k: usize| {
@@ -196,7 +198,7 @@ fn bound(gaussians: &mut Table, visibility: &[f32], bands: usize) {
 /// The ground from straight above.
 struct GroundMap {
     image: Raster,
-    /// Share of the sun that reaches it; NaN where there is none.
+    /// Share of the sun that reaches the ground, 0 to 1; NaN where there is no ground.
     sunlit: Vec<f32>,
     /// Metres below the camera.
     depth: Vec<f32>,

@@ -15,7 +15,7 @@ const LEAST_SKY: f32 = 0.1;
 /// Share of the bound that is used. Subtracting too little costs less than subtracting too much, which leaves dark
 /// ground without albedo (docs/lab/faults.md).
 const BOUND_SHARE: f32 = 0.85;
-/// Pairs of a bin; a bin's medians count, not single pairs.
+/// Fewest pairs of a bin, whose medians are used.
 const FEWEST_PAIRS: usize = 40;
 /// Most bins of one view's pairs, by the brightness of the ground in the sun.
 const MOST_BINS: usize = 12;

@@ -19,7 +19,7 @@ use std::path::Path;
 const WATER: f32 = 0.4;
 /// Steps of the histogram of brightness.
 const STEPS: usize = 128;
-/// Natural logarithm of brightness around the threshold within which there is no prior.
+/// Half of the range around the threshold without a prior, natural logarithm of brightness.
 const DOUBT: f32 = 0.25;
 /// Least distance between the logarithms of lit and dark brightness: with less there is no shadow.
 const LEAST_CONTRAST: f32 = 0.5;
@@ -29,7 +29,7 @@ const SLACK_M: f32 = 1.5;
 /// Rounds in which a ray finds the surface.
 const ROUNDS: usize = 8;
 
-/// Views from which on images need no prior, since they determine the shadows.
+/// Number of views from which on the images determine the shadows and need no prior.
 pub const ENOUGH_VIEWS: usize = 8;
 
 /// Bands that separate leaves and water.
@@ -161,9 +161,9 @@ fn may_be_shaded(surface: &Surface, point: Vec3, sun: Vec3, top_m: f32) -> bool 
     false
 }
 
-/// Prior of each of `images`: lit (1) or in shadow (0), NaN without one, pixel by pixel of its crop; `surface` is the
-/// initial one, `cameras` are those of the crops, and `suns` unit vectors toward the sun, without which there is no
-/// prior.
+/// Shadow prior of each of `images`, `[row][column]` of its crop: 1 lit, 0 in shadow, NaN without a prior. `rasters`
+/// are the crops, `cameras` their cameras, `surface` is the initial surface, and `suns` are unit vectors toward the
+/// sun; an image without a sun has no prior.
 pub fn found(
     images: &[&SceneImage],
     rasters: &[&Raster],
@@ -197,7 +197,8 @@ pub fn found(
     rasters.iter().enumerate().map(one).collect()
 }
 
-/// The mask of an image from a folder of masks, cut to its crop: 1 is lit, 0 in shadow, nodata neither.
+/// Mask of an image from the file `NAME.tif` in a folder, cut to the crop of the image, `[row][column]`: 1 lit, 0 in
+/// shadow, NaN (nodata) neither.
 ///
 /// # Errors
 /// When the file is missing, damaged, or of another size than its image.

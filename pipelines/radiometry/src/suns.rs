@@ -2,10 +2,10 @@
 //! ground.
 //!
 //! The views are orthorectified on the surface (`darkness`). The darkness of a cell on one date relative to the other
-//! dates on which it is lit does not depend on its albedo. Where it is lit on other dates follows from their own suns,
-//! so that all dates are searched in turns. For each azimuth one walk per cell toward the sun gives the elevation below
-//! which the cell is in shadow (`horizon`), so that all elevations are scored together (`score`): the score is the
-//! correlation between cast shadow and darkness. The whole sky is searched, coarse to fine; directions that the sun
+//! dates on which it is lit does not depend on its albedo. The other dates on which it is lit follow from their own
+//! suns, so all dates are searched in turns. For each azimuth one walk per cell toward the sun gives the elevation
+//! below which the cell is in shadow (`horizon`), so that all elevations are scored together (`score`): the score is
+//! the correlation between cast shadow and darkness. The whole sky is searched, coarse to fine; directions that the sun
 //! never has at the scene's latitude are left out. Views of one date share one sun.
 //!
 //! Blocks of ground are resampled (bootstrap): the spread of the best sun is its standard deviation, and the best must
@@ -45,7 +45,7 @@ const DECLINATION_MAX_DEG: f64 = 23.44 + 2.0;
 const DOUBT_DEG: f64 = 3.0;
 /// Searches of the whole sky, each with the suns of the one before.
 const ROUNDS: usize = 6;
-/// Times that the blocks are drawn.
+/// Number of bootstrap draws of the blocks.
 const DRAWS: usize = 200;
 /// Least correlation of shadow and darkness on a swept surface: suns below it had errors of 3° to 6° with deviations of
 /// 1.1° to 1.5° (docs/lab/suns.md).
@@ -65,9 +65,9 @@ const MOST_CELLS: usize = 40_000;
 /// A sun estimated from shadows.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ShadowSun {
-    /// Azimuth, degrees clockwise from the frame's north, in [0, 360).
+    /// Azimuth, degrees clockwise from the frame's north, 0 to 360.
     pub azimuth_deg: f64,
-    /// Elevation, degrees.
+    /// Elevation, degrees above the horizon.
     pub elevation_deg: f64,
     /// Standard deviation of the direction, degrees of arc.
     pub sigma_deg: f64,
@@ -81,7 +81,7 @@ pub struct ShadowSun {
 }
 
 impl ShadowSun {
-    /// True if the sun is accepted.
+    /// True if the sun is accepted: by its score, its margin and its standard deviation.
     pub fn is_decisive(&self) -> bool {
         let least = if self.of_model {
             LEAST_SCORE_OF_MODEL
@@ -98,7 +98,7 @@ impl ShadowSun {
 }
 
 /// The suns of the views whose sun is unknown, from the shadows of `surface` on the cells that are `covered`, at a
-/// latitude in degrees; views of one date get the same one. `None` for views whose sun is known, and where there is no
+/// latitude in degrees; views of one date get the same sun. `None` for views whose sun is known, and where there is no
 /// estimate. [`ShadowSun::is_decisive`] accepts or rejects an estimate.
 pub fn find_suns(
     views: &[SweepView],
@@ -200,8 +200,8 @@ impl Horizons {
         }
     }
 
-    /// Cells that a sun certainly lights: also after a change by a step of the search to either side, and down by
-    /// [`DOUBT_DEG`].
+    /// Cells that a sun certainly lights: also after a change of its azimuth by a step of the search either way, or of
+    /// its elevation by [`DOUBT_DEG`] downward.
     fn lit(&self, [azimuth_deg, elevation_deg]: [f64; 2]) -> Vec<bool> {
         let step = (azimuth_deg.rem_euclid(360.0) / COARSE_DEG[0]).round() as usize % self.tangents.len();
         let tangent = (elevation_deg - DOUBT_DEG).to_radians().tan() as f32;
@@ -214,7 +214,7 @@ impl Horizons {
     }
 }
 
-/// Azimuth and elevation of a direction toward the sun, degrees.
+/// Azimuth (clockwise from north) and elevation of a direction toward the sun, degrees.
 pub(crate) fn angles_deg(sun: Vec3) -> [f64; 2] {
     let sun = sun.as_dvec3();
     [

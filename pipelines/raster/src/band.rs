@@ -1,9 +1,9 @@
-//! The bands of a raster file as it states them, and windows of its pixels.
+//! Description of the bands of a raster file, and windows of its pixels.
 
 /// Colour interpretation of a band.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Colour {
-    /// Grey, or nothing said.
+    /// Grey.
     Grey,
     /// Red.
     Red,
@@ -15,26 +15,26 @@ pub enum Colour {
     Alpha,
     /// Indices into a colour table.
     Palette,
-    /// Not stated.
+    /// Not stated, or any other colour.
     Undefined,
 }
 
 /// One band of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BandInfo {
-    /// Its description, empty where the file has none.
+    /// Description, empty where the file has none.
     pub description: String,
-    /// Its colour interpretation.
+    /// Colour interpretation.
     pub colour: Colour,
     /// GDAL's name of the data type, such as `UInt16`.
     pub data_type: String,
-    /// The unit of its values, empty where the file says none.
+    /// Unit of its values, empty where the file states none.
     pub unit: String,
-    /// The value that means "nothing here".
+    /// Value of missing pixels, if the file states one.
     pub nodata: Option<f64>,
     /// Factor from counts to the unit, if the file states it.
     pub scale: Option<f64>,
-    /// Offset after the factor, if the file states it.
+    /// Offset, in the unit, added after the factor, if the file states it.
     pub offset: Option<f64>,
 }
 

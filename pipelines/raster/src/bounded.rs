@@ -1,22 +1,23 @@
-//! Reading of untrusted files: bounded size, regular files alone. A pipe would block, and a device would never end.
+//! Reading of untrusted files: regular files of bounded size alone. A pipe would block, and a device would never end.
 
 use std::fs::File;
 use std::io::{Error, ErrorKind, Read, Result};
 use std::path::Path;
 
-/// Texts longer than this are none of ours, bytes: cameras, metadata, manifests and `model.json` of thousands of images stay far below.
+/// Largest text that is read, bytes. Cameras, metadata, manifests and `model.json` of thousands of images are far
+/// smaller.
 pub const TEXT_MAX: u64 = 64 << 20;
 
-/// Models larger than this are refused, bytes: a hundred million Gaussians.
+/// Largest model that is read, bytes: a hundred million Gaussians.
 pub const MODEL_MAX: u64 = 16 << 30;
 
 /// The bytes of a file of at most `limit` bytes.
 ///
 /// # Errors
-/// Errors of the operating system; also if the path is no regular file, or the file is larger.
+/// Errors of the operating system; `InvalidData` if the path is no regular file, or the file is larger.
 pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
     let refused = |text: String| Error::new(ErrorKind::InvalidData, text);
-    // Asked before opening: opening a pipe already waits.
+    // Checked before opening, because opening a pipe blocks.
     let known = std::fs::metadata(path)?;
     if known.is_dir() {
         return Err(refused("it is a folder, not a file".into()));
@@ -31,7 +32,7 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
         )));
     }
     let mut bytes = Vec::new();
-    // Files of /proc say that they are empty, and one may grow meanwhile: what is read is limited too.
+    // The read is limited too: files of /proc report a size of zero, and a file may grow meanwhile.
     File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit {
         return Err(refused(format!("it has more than {limit} bytes")));
@@ -42,17 +43,17 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
 /// The text of a file of at most [`TEXT_MAX`] bytes.
 ///
 /// # Errors
-/// As [`read_bytes`], and where it is not UTF-8.
+/// Those of [`read_bytes`]; `InvalidData` also where the text is not UTF-8.
 pub fn read_text(path: &Path) -> Result<String> {
     String::from_utf8(read_bytes(path, TEXT_MAX)?)
         .map_err(|_| Error::new(ErrorKind::InvalidData, "it is not UTF-8 text"))
 }
 
-/// The text of a file of at most [`TEXT_MAX`] bytes, with what is no UTF-8 replaced. A byte order mark of UTF-16, as some editors write
-/// it, is believed.
+/// The text of a file of at most [`TEXT_MAX`] bytes, with invalid UTF-8 replaced by U+FFFD. A text with a byte order
+/// mark of UTF-16, as some editors write it, is decoded as UTF-16.
 ///
 /// # Errors
-/// As [`read_bytes`].
+/// Those of [`read_bytes`]: errors of the operating system, no regular file, or a larger file.
 pub fn read_text_lossy(path: &Path) -> Result<String> {
     let bytes = read_bytes(path, TEXT_MAX)?;
     let unit = match bytes.get(..2) {
@@ -64,7 +65,7 @@ pub fn read_text_lossy(path: &Path) -> Result<String> {
     Ok(String::from_utf16_lossy(&units))
 }
 
-/// At most the first `count` bytes of a regular file; none where it cannot be read.
+/// At most the first `count` bytes of a regular file; empty where it cannot be read.
 pub fn read_start(path: &Path, count: u64) -> Vec<u8> {
     let mut bytes = Vec::new();
     if path.is_file()

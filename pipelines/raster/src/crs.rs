@@ -8,7 +8,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::rc::Rc;
 
-/// A coordinate reference system PROJ and GDAL both understand.
+/// A coordinate reference system that PROJ and GDAL both support.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Crs {
     definition: String,
@@ -24,10 +24,12 @@ pub struct Crs {
 const METRES_PER_DEGREE: f64 = 111_319.490_793;
 
 impl Crs {
-    /// From `EPSG:N` (`EPSG:N+M` with a vertical one), WKT or a PROJ string. Nothing else is taken: GDAL would fetch addresses and open files.
+    /// System of a definition: `EPSG:N` (`EPSG:N+M` with a vertical one) or a code of ESRI, IGNF, OGC or IAU, WKT, or a
+    /// PROJ string. Other text is refused, because GDAL would fetch addresses and open files.
     ///
     /// # Errors
-    /// [`RasterError::UnknownCrs`].
+    /// [`RasterError::UnknownCrs`] for another form or an unknown system, `RasterError::ProjDatabase` without PROJ's
+    /// database.
     pub fn from_definition(definition: &str) -> Result<Self, RasterError> {
         if let Some(known) = READ.with_borrow(|read| read.get(definition).cloned()) {
             return Ok(known);
@@ -75,10 +77,10 @@ impl Crs {
         })
     }
 
-    /// From a definition without a vertical part: whoever asks for one has to convert heights.
+    /// System of a definition without a vertical datum: heights are above the ellipsoid.
     ///
     /// # Errors
-    /// [`RasterError::UnknownCrs`].
+    /// Those of [`Crs::from_definition`]; [`RasterError::UnknownCrs`] also for a system with a vertical datum.
     pub fn horizontal(definition: &str) -> Result<Self, RasterError> {
         let crs = Self::from_definition(definition)?;
         match crs.vertical {
@@ -90,10 +92,10 @@ impl Crs {
         }
     }
 
-    /// By EPSG code.
+    /// System of an EPSG code.
     ///
     /// # Errors
-    /// [`RasterError::UnknownCrs`].
+    /// [`RasterError::UnknownCrs`] for an unknown code, `RasterError::ProjDatabase` without PROJ's database.
     pub fn from_epsg(code: u32) -> Result<Self, RasterError> {
         Self::from_definition(&format!("EPSG:{code}"))
     }
@@ -101,7 +103,7 @@ impl Crs {
     /// The WGS 84 / UTM zone of a place; polar stereographic (UPS) beyond 84° N and 80° S.
     ///
     /// # Errors
-    /// [`RasterError::UnknownCrs`] when PROJ's database is missing.
+    /// [`RasterError::UnknownCrs`], or `RasterError::ProjDatabase` when PROJ's database is missing.
     pub fn utm(at: GeoPoint) -> Result<Self, RasterError> {
         Self::from_epsg(utm_epsg(at.lon_deg, at.lat_deg))
     }
@@ -116,7 +118,7 @@ impl Crs {
         &self.definition
     }
 
-    /// The WKT.
+    /// The system as WKT.
     pub fn wkt(&self) -> &str {
         &self.wkt
     }
@@ -177,8 +179,8 @@ fn metres_per_height(reference: &SpatialRef) -> Option<f64> {
         .filter(|metres: &f64| metres.is_finite() && *metres > 0.0)
 }
 
-/// True if the vertical part of a WKT is the height above the ellipsoid. No code states it: heights above an ellipsoid are no system of their own in
-/// EPSG, and programs that state them (CARS) write a name.
+/// True if the vertical part of a WKT is the height above the ellipsoid, by its name: EPSG has no code for ellipsoidal
+/// heights alone, and programs that state them (CARS) write a name.
 fn is_above_ellipsoid(wkt: &str) -> bool {
     let name_of = |keyword: &str| wkt.split_once(keyword)?.1.split('"').next();
     let name = name_of("VERT_CS[\"").or_else(|| name_of("VERTCRS[\""));
@@ -220,9 +222,9 @@ pub fn utm_epsg(lon_deg: f64, lat_deg: f64) -> u32 {
 }
 
 thread_local! {
-    /// The systems that this thread read, by their definitions.
+    /// Systems parsed by this thread, by definition.
     static READ: RefCell<HashMap<String, Crs>> = RefCell::default();
-    /// The transformations that this thread made, by their two systems; a process meets few of these.
+    /// Transformations made by this thread, by source and target; a process needs few.
     static MADE: RefCell<HashMap<[String; 2], Rc<Proj>>> = RefCell::default();
 }
 
@@ -235,26 +237,26 @@ pub struct CrsTransform {
 }
 
 impl CrsTransform {
-    /// From WGS 84 longitude and latitude in degrees to `target`.
+    /// Transformation from WGS 84 longitude and latitude in degrees to `target`.
     ///
     /// # Errors
-    /// [`RasterError::UnknownCrs`].
+    /// [`RasterError::UnknownCrs`] when PROJ has no transformation between the two systems.
     pub fn from_lon_lat(target: &Crs) -> Result<Self, RasterError> {
         Self::between("EPSG:4326", target.definition(), target.name())
     }
 
-    /// From `source` to WGS 84 longitude and latitude in degrees.
+    /// Transformation from `source` to WGS 84 longitude and latitude in degrees.
     ///
     /// # Errors
-    /// [`RasterError::UnknownCrs`].
+    /// [`RasterError::UnknownCrs`] when PROJ has no transformation between the two systems.
     pub fn to_lon_lat(source: &Crs) -> Result<Self, RasterError> {
         Self::between(source.definition(), "EPSG:4326", "WGS 84")
     }
 
-    /// From one system to another.
+    /// Transformation from one system to another.
     ///
     /// # Errors
-    /// [`RasterError::UnknownCrs`].
+    /// [`RasterError::UnknownCrs`] when PROJ has no transformation between the two systems.
     pub fn new(source: &Crs, target: &Crs) -> Result<Self, RasterError> {
         Self::between(source.definition(), target.definition(), target.name())
     }
@@ -280,10 +282,10 @@ impl CrsTransform {
         })
     }
 
-    /// Transforms one point.
+    /// Transforms one point, in map units or degrees.
     ///
     /// # Errors
-    /// [`RasterError::Transform`].
+    /// [`RasterError::Transform`] for a point outside of the target system.
     pub fn apply(&self, x: f64, y: f64) -> Result<(f64, f64), RasterError> {
         let failed = |reason: String| RasterError::Transform {
             crs: self.target.clone(),

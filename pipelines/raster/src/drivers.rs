@@ -1,12 +1,15 @@
-//! GDAL as this program uses it: a fixed list of formats, each complete in its own file and a header beside it, and no network.
+//! GDAL as this program uses it: a fixed list of formats, each complete in its own file and a header beside it, and no
+//! network.
 //!
-//! A file can name other files: as overviews, as masks, as the place of its pixels. GDAL opens such names with every registered driver,
-//! also where the file itself was opened with few. So all others are deregistered before the first file is opened.
+//! A file can name other files: as overviews, as masks, as the place of its pixels. GDAL opens such names with every
+//! registered driver, also where the file itself was opened with few. So all others are deregistered before the first
+//! file is opened.
 
 use gdal::{Driver, DriverManager, config};
 use std::sync::OnceLock;
 
-/// The registered formats. Those that name other files or addresses (VRT, WMS, HTTP, DIMAP, PCIDSK, PDF …) are not among them. `COG` only writes.
+/// The registered formats. Those that name other files or addresses (VRT, WMS, HTTP, DIMAP, PCIDSK, PDF …) are not
+/// among them. `COG` is for writing alone.
 const DRIVERS: [&str; 22] = [
     "GTiff",
     "LIBERTIFF",
@@ -34,13 +37,15 @@ const DRIVERS: [&str; 22] = [
 
 /// GDAL's options that hold for the whole process.
 const OPTIONS: [(&str, &str); 2] = [
-    // Every image is read once, in order: blocks that were read are not needed again. GDAL would keep a twentieth of the memory.
+    // Megabytes. Every image is read once, in order, so that no block is needed again; GDAL's default is a twentieth of
+    // the memory.
     ("GDAL_CACHEMAX", "64"),
-    // GDAL's remote file systems open one name, which nothing has.
+    // Remote file systems may open this name alone, which no file has.
     ("CPL_VSIL_CURL_ALLOWED_FILENAME", "/vsicurl/none"),
 ];
 
-/// Address of the driver of rasters in memory. Its `MEM:::DATAPOINTER=…` reads any address, so no file may name it: it is not registered.
+/// Address of the driver of rasters in memory. It is not registered, because a file that names `MEM:::DATAPOINTER=…`
+/// could read any address.
 static MEMORY: OnceLock<usize> = OnceLock::new();
 
 /// Sets GDAL's options and deregisters all drivers but [`DRIVERS`]; once, before the first use of GDAL.
@@ -68,7 +73,7 @@ pub(super) fn restrict() {
 /// The driver of rasters in memory.
 ///
 /// # Errors
-/// Without such a driver in this GDAL.
+/// When this GDAL has no such driver.
 #[allow(unsafe_code, reason = "the crate gdal keeps no driver that is not registered")]
 pub(super) fn memory() -> gdal::errors::Result<Driver> {
     match MEMORY.get() {

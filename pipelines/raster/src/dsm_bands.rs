@@ -1,5 +1,6 @@
-//! The files of a surface model: one GeoTIFF of one band for the altitude, and one for each companion beside it, such as `dsm.tif`,
-//! `dsm_stddev.tif`, `dsm_coverage.tif` and `dsm_views.tif`. Products write them, and everything else reads them here.
+//! The files of a surface model: one GeoTIFF of one band for the altitude, and one for each companion beside it, such
+//! as `dsm.tif`, `dsm_stddev.tif`, `dsm_coverage.tif` and `dsm_views.tif`. Products write these files, and all other
+//! code reads them here.
 
 use crate::{GeoRaster, RasterError, is_virtual};
 use std::path::{Path, PathBuf};
@@ -13,7 +14,7 @@ pub const COVERAGE: &str = "coverage";
 /// Number of images that see the cell at its altitude.
 pub const VIEWS: &str = "views";
 
-/// Bands of a surface model besides the altitude, and the ends of the names of their files.
+/// Bands of a surface model besides the altitude, with the suffixes of their files.
 pub const COMPANIONS: [(&str, &str); 3] = [(STANDARD_DEVIATION, "stddev"), (COVERAGE, "coverage"), (VIEWS, "views")];
 
 /// The file beside `path` whose name ends in `suffix`: `dsm_views.tif` beside `dsm.tif`.
@@ -26,10 +27,12 @@ pub fn companion(path: &Path, suffix: &str) -> PathBuf {
 }
 
 impl GeoRaster {
-    /// Reads a surface model: its altitude, and the companions beside it as further bands. A file that has all bands itself is read as well.
+    /// Reads a surface model: its altitude, and the companions beside it as further bands. A file that contains all
+    /// bands itself is read alone. A companion on another grid is left out with a warning.
     ///
     /// # Errors
-    /// As [`GeoRaster::read_heights`].
+    /// A file that cannot be opened or read, has no georeferencing, or states heights in no known length, as
+    /// [`GeoRaster::read_heights`].
     pub fn read_surface(path: &Path) -> Result<Self, RasterError> {
         let mut surface = Self::read_heights(path)?;
         if surface.raster.bands > 1 || is_virtual(path) {

@@ -11,24 +11,24 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Most samples that are ever read at once.
+/// Largest number of samples of one read.
 const SAMPLES_MAX: u128 = 1 << 33;
-/// Windows of fewer samples are read from however small a file: an image on an empty canvas has next to no bytes for most of its pixels, and
-/// a sparse file none. A gigabyte in memory: 16,384 × 16,384 of one band.
+/// Number of samples that are read from a file of any size: an image on an empty canvas has next to no bytes for most
+/// of its pixels, and a sparse file none. A gigabyte in memory: 16,384 × 16,384 of one band.
 const SAMPLES_FREE: u128 = 1 << 28;
-/// Types of samples that the crate gdal does not know: complex numbers.
+/// Data type of samples that the crate gdal does not support: complex numbers.
 const UNKNOWN_TYPE: &str = "unknown";
-/// Formats whose pixels stand in the file as they are. GDAL reads zeros where such a file ends early.
+/// Formats of uncompressed pixels. GDAL reads zeros where such a file ends early.
 const RAW: [&str; 3] = ["ENVI", "EHdr", "GTX"];
-/// Blocks of fewer pixels are read from however small a file: 8,192 × 8,192.
+/// Pixels of a block that are read from a file of any size: 8,192 × 8,192.
 const BLOCK_FREE: u128 = 1 << 26;
-/// Deflate makes at most a thousand bytes of one.
+/// Largest number of samples per byte of a file: deflate expands a byte to at most a thousand.
 const SAMPLES_PER_BYTE: u128 = 1000;
-/// Samples of all bands that are read before the next rows are: blocks of files whose pixels hold all bands together stay in GDAL's cache for
-/// the next band.
+/// Samples of all bands that are read before the next rows: blocks that contain all bands stay in GDAL's cache for the
+/// next band.
 const SAMPLES_AT_ONCE: usize = 1 << 22;
 
-/// True if a file that was not opened is one of GDAL's virtual rasters.
+/// True if a file that GDAL did not open is a virtual raster (VRT).
 fn names_other_files(path: &Path) -> bool {
     let start = bounded::read_start(path, 256);
     String::from_utf8_lossy(&start).contains("<VRTDataset")
@@ -39,11 +39,11 @@ pub struct RasterFile {
     path: PathBuf,
     size: (usize, usize),
     pixels: Pixels,
-    /// The other files that its pixels come from.
+    /// The other files of its pixels.
     others: Vec<PathBuf>,
     /// The band of opacity, 0-based: pixels of other bands are missing where it is zero.
     opacity: Option<usize>,
-    /// Its bands, in file order.
+    /// Bands in file order.
     pub bands: Vec<BandInfo>,
 }
 
@@ -83,8 +83,7 @@ pub fn is_remote(path: &Path) -> bool {
     is_virtual(path) && (REMOTE.iter().any(|system| text.contains(system)) || text.contains("://"))
 }
 
-/// Files in a folder of a virtual file system that the user names, sorted; where it is remote, such file systems may reach the network
-/// from here on.
+/// Paths in a folder of a virtual file system, sorted. A remote folder enables GDAL's remote file systems from then on.
 ///
 /// # Errors
 /// [`RasterError::Missing`] when there is no such folder, or it cannot be reached.
@@ -99,7 +98,7 @@ pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>, RasterError> {
 }
 
 impl RasterFile {
-    /// Opens a file for reading. Files beside it that GDAL may read are looked at first.
+    /// Opens a file for reading. Files beside it that GDAL may read are checked first.
     ///
     /// # Errors
     /// [`RasterError::Missing`], [`RasterError::Unreadable`], [`RasterError::NotAnImage`] or [`RasterError::Damaged`].
@@ -157,7 +156,7 @@ impl RasterFile {
         Ok(file)
     }
 
-    /// One image whose pixels come from several files, of which `path` is the first.
+    /// One image of several files, of which `path` is the first.
     pub(super) fn composed(
         path: PathBuf,
         others: Vec<PathBuf>,
@@ -175,7 +174,8 @@ impl RasterFile {
         }
     }
 
-    /// States which band, 0-based, is one of opacity, if any: files state it wrongly of a fourth band.
+    /// Sets the band of opacity (0-based), or none, in place of the declared one: a fourth band may be declared as
+    /// opacity wrongly.
     pub fn set_opacity(&mut self, band: Option<usize>) {
         self.opacity = band;
         match &mut self.pixels {
@@ -185,17 +185,17 @@ impl RasterFile {
         }
     }
 
-    /// The files beside [`RasterFile::path`] that its pixels come from.
+    /// The files of its pixels besides [`RasterFile::path`].
     pub fn others(&self) -> &[PathBuf] {
         &self.others
     }
 
-    /// All files that its pixels come from.
+    /// All files of its pixels.
     pub(super) fn files(&self) -> impl Iterator<Item = &PathBuf> {
         std::iter::once(&self.path).chain(&self.others)
     }
 
-    /// The file that its metadata are read from; the first one of several.
+    /// The file of its metadata; the first of several.
     pub(super) fn dataset(&self) -> &Dataset {
         match &self.pixels {
             Pixels::File(dataset) => dataset,
@@ -205,17 +205,17 @@ impl RasterFile {
         }
     }
 
-    /// The file.
+    /// Path of the file; the first of several.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Columns and rows.
+    /// Columns and rows of the image.
     pub fn size(&self) -> (usize, usize) {
         self.size
     }
 
-    /// The whole image.
+    /// Window of the whole image.
     pub fn whole(&self) -> Window {
         let (width, height) = self.size();
         Window {
@@ -246,15 +246,15 @@ impl RasterFile {
         alone.map_or_else(|_| BTreeMap::new(), |alone| items(&alone, name))
     }
 
-    /// Geotransform of the pixels; `None` without georeferencing. Some writers store the identity where they know nothing:
-    /// without a coordinate system it is no georeferencing either.
+    /// Geotransform of the pixels; `None` without georeferencing. An identity without a coordinate system counts as
+    /// none, because some writers store it in images without georeferencing.
     pub fn geo_transform(&self) -> Option<GeoTransform> {
         let six = messages::collect(|| self.dataset().geo_transform()).ok()?;
         let is_identity = six[..5] == [0.0, 1.0, 0.0, 0.0, 0.0] && six[5].abs() == 1.0;
         (!is_identity || self.crs().is_some()).then(|| GeoTransform::from_gdal(six))
     }
 
-    /// The coordinate reference system; `None` without one.
+    /// The coordinate reference system; `None` without one, or with one that is not recognised.
     pub fn crs(&self) -> Option<Crs> {
         let wkt = self.dataset().projection();
         if wkt.is_empty() {
@@ -263,8 +263,8 @@ impl RasterFile {
         Crs::from_definition(&wkt).ok()
     }
 
-    /// Reads a window of the given bands (0-based) as `f32`: nodata values, infinities, and pixels that a mask or a band of opacity declares
-    /// missing become `NaN`.
+    /// Reads a window of the given bands (0-based) as `f32`: nodata values, infinities, and pixels that a mask or a
+    /// band of opacity declares missing become `NaN`.
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
@@ -288,9 +288,10 @@ impl RasterFile {
         Ok(raster)
     }
 
-    /// Reads a window of the given bands (0-based) averaged down: each pixel of the result is the mean of the known ones among `factor` by
-    /// `factor` pixels of the file, `NaN` where none is. Columns and rows of the window beyond a multiple of `factor` are left out. Overviews
-    /// of the file are not used: they may be of other pixels, or stand in any file that this one names.
+    /// Reads a window of the given bands (0-based) averaged down: each pixel of the result is the mean of the known
+    /// ones among `factor` by `factor` pixels of the file, `NaN` where none is. Columns and rows of the window beyond a
+    /// multiple of `factor` are left out. Overviews of the file are not used: they may show other pixels, or be in any
+    /// file that this one names.
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
@@ -328,13 +329,13 @@ impl RasterFile {
         Ok(raster)
     }
 
-    /// Refuses to decode so many samples of a window that they would only fill the memory, unless the file is long enough to hold them.
+    /// Refuses a window that would fill the memory, unless the file is long enough to hold its samples.
     fn check_size(&self, window: Window, bands: usize) -> Result<(), RasterError> {
         let claimed = window.width as u128 * window.height as u128 * bands as u128;
         let beside = ["ige", "dat"].map(|extension| self.path.with_extension(extension));
         let bytes = |path: &PathBuf| std::fs::metadata(path).map_or(0, |known| u128::from(known.len()));
         let held: u128 = self.files().chain(&beside).map(bytes).sum();
-        // How many bytes an archive or an object store holds of it is not known.
+        // The size of a file in an archive or an object store is not known.
         let known = !is_virtual(&self.path);
         if claimed > SAMPLES_MAX || (known && claimed > SAMPLES_FREE.max(held * SAMPLES_PER_BYTE)) {
             let reason = format!("it claims {} x {} pixels in {held} bytes", window.width, window.height);
@@ -346,13 +347,14 @@ impl RasterFile {
     /// Reads all bands of the whole image.
     ///
     /// # Errors
-    /// As [`RasterFile::read`].
+    /// [`RasterError::Damaged`] when the pixels cannot be read, as [`RasterFile::read`].
     pub fn read_all(&self) -> Result<Raster, RasterError> {
         let bands: Vec<usize> = (0..self.bands.len()).collect();
         self.read(self.whole(), &bands)
     }
 
-    /// Reads a whole band (0-based) as the file has it: dates as YYYYMMDD have more digits than `f32` holds.
+    /// Reads a whole band (0-based) as `f64`, nodata values included: dates as YYYYMMDD have more digits than `f32`
+    /// holds.
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
@@ -364,8 +366,8 @@ impl RasterFile {
         Ok(found.into_shape_and_vec().1)
     }
 
-    /// Refuses a file of which one block would fill the memory, unless the file is long enough to hold it, because pixels are read by whole
-    /// blocks; and a raw one that is cut off.
+    /// Refuses a file with a block that would fill the memory, unless the file is long enough to hold it (pixels are
+    /// read by whole blocks), and a truncated raw file.
     fn check_bytes(&self) -> Result<(), RasterError> {
         let dataset = self.dataset();
         let held = std::fs::metadata(&self.path).map_or(u64::MAX, |known| known.len());
@@ -433,7 +435,7 @@ impl RasterFile {
     }
 }
 
-/// The band that a file states is one of opacity.
+/// Index of the band that a file declares as opacity.
 fn opacity_of(bands: &[BandInfo]) -> Option<usize> {
     bands.iter().position(|band| band.colour == Colour::Alpha)
 }
@@ -444,7 +446,7 @@ fn items(dataset: &Dataset, domain: &str) -> BTreeMap<String, String> {
     pairs.map(|(key, value)| (key.to_owned(), value.to_owned())).collect()
 }
 
-/// The means of the known pixels of `factor` columns each of some rows.
+/// Means of the known pixels in blocks of `factor` columns and of all of `rows`.
 fn average_rows(out: &mut [f32], rows: &[f32], factor: usize) {
     let columns = out.len() * factor;
     for (col, mean) in out.iter_mut().enumerate() {
@@ -499,14 +501,14 @@ fn colour(interpretation: ColorInterpretation) -> Colour {
     }
 }
 
-/// A raster that lies on the map.
+/// A georeferenced raster.
 #[derive(Debug, Clone)]
 pub struct GeoRaster {
     /// Values; `NaN` where nothing is known.
     pub raster: Raster,
-    /// Place of the pixels.
+    /// Map coordinates of the pixels.
     pub transform: GeoTransform,
-    /// In which coordinates; `None` where the file does not say.
+    /// Coordinate system of the map; `None` where the file states none.
     pub crs: Option<Crs>,
     /// Descriptions of the bands, empty where the file has none.
     pub band_names: Vec<String>,
@@ -516,7 +518,7 @@ impl GeoRaster {
     /// Reads all bands of a georeferenced file. The coordinate system may be absent, the geotransform may not.
     ///
     /// # Errors
-    /// [`RasterError::NotGeoreferenced`] and what opening and reading may give.
+    /// [`RasterError::NotGeoreferenced`], and the errors of [`RasterFile::open`] and [`RasterFile::read`].
     pub fn read(path: &Path) -> Result<Self, RasterError> {
         let file = RasterFile::open(path)?;
         let transform = file
@@ -530,7 +532,7 @@ impl GeoRaster {
         })
     }
 
-    /// Number of the band of this description, counted from zero.
+    /// Index of the band with this description, counted from zero.
     pub fn band(&self, name: &str) -> Option<usize> {
         self.band_names.iter().position(|description| description == name)
     }

@@ -1,5 +1,5 @@
-//! Heights above sea level: how far a geoid lies above the ellipsoid, from PROJ's grids. Nothing is fetched from anywhere: where a
-//! grid is missing, that is an error which names it.
+//! Heights of geoids above the WGS 84 ellipsoid, from PROJ's grids. Nothing is downloaded: a missing grid is an error
+//! that names it.
 
 use super::{Crs, CrsTransform, GridSpec, RasterError, messages};
 use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform, CoordTransformOptions, SpatialRef};
@@ -15,7 +15,7 @@ pub enum Geoid {
 }
 
 impl Geoid {
-    /// Its name.
+    /// Name, such as `EGM96`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Egm96 => "EGM96",
@@ -23,7 +23,7 @@ impl Geoid {
         }
     }
 
-    /// EPSG code of heights above it.
+    /// EPSG code of the vertical system of heights above it.
     pub fn epsg(self) -> u32 {
         match self {
             Self::Egm96 => 5773,
@@ -31,7 +31,7 @@ impl Geoid {
         }
     }
 
-    /// Files of PROJ that hold it, the one to install first.
+    /// PROJ's files of its grid, the preferred one first.
     fn grids(self) -> &'static [&'static str] {
         match self {
             Self::Egm96 => &["us_nga_egm96_15.tif", "egm96_15.gtx"],
@@ -39,10 +39,11 @@ impl Geoid {
         }
     }
 
-    /// The horizontal system of a definition, and the geoid that heights are to be above where its vertical part names one.
+    /// The horizontal system of a definition, and the geoid of its vertical part, if it has one.
     ///
     /// # Errors
-    /// [`RasterError::UnknownCrs`], also for a vertical part that heights are not converted to.
+    /// The errors of `Crs::from_definition`, and [`RasterError::UnknownCrs`] for a vertical part other than EGM96 and
+    /// EGM2008.
     pub fn of_definition(definition: &str) -> Result<(Crs, Option<Self>), RasterError> {
         let whole = Crs::from_definition(definition)?;
         if !whole.has_vertical_datum() {
@@ -69,7 +70,7 @@ impl Geoid {
         }
     }
 
-    /// `crs` with heights above this geoid.
+    /// `crs` with heights above this geoid, metres.
     ///
     /// # Errors
     /// [`RasterError::UnknownCrs`] when `crs` has heights of its own or no EPSG code.
@@ -101,7 +102,7 @@ impl Undulation {
     /// [`RasterError::MissingGrid`] when PROJ has none.
     pub fn new(geoid: Geoid) -> Result<Self, RasterError> {
         for grid in geoid.grids() {
-            // A pipeline that could be made may still lack its grid: only a height shows that it is there.
+            // PROJ makes a pipeline without its grid: only a transformed height proves that the grid is installed.
             if let Ok(transform) = messages::collect_strictly(|| transform(grid)) {
                 let found = Self { transform, geoid };
                 if found.at(0.0, 0.0).is_ok() {
@@ -136,9 +137,11 @@ impl Undulation {
     }
 }
 
-/// From longitude, latitude (degrees) and 0 to longitude, latitude and the geoid's height, which PROJ's `vgridshift` adds.
+/// From longitude, latitude (degrees) and 0 to longitude, latitude and the geoid's height, which PROJ's `vgridshift`
+/// adds.
 fn transform(grid: &str) -> gdal::errors::Result<CoordTransform> {
-    // Not EPSG:4979, whose axes are latitude and longitude: an explicit operation gets coordinates in the order of the system's axes.
+    // Not EPSG:4979, whose axes are latitude and longitude: an explicit operation gets coordinates in the order of the
+    // system's axes.
     let mut wgs84 = SpatialRef::from_proj4("+proj=longlat +datum=WGS84 +no_defs")?;
     wgs84.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
     let mut options = CoordTransformOptions::new()?;
@@ -152,7 +155,8 @@ fn transform(grid: &str) -> gdal::errors::Result<CoordTransform> {
     CoordTransform::new_with_options(&wgs84, &wgs84, &options)
 }
 
-/// The heights of a geoid over a map grid: exact at nodes 16 pixels apart, bilinear between them, as the geoid's own grid is.
+/// The heights of a geoid over a map grid: exact at nodes 16 pixels apart, bilinear between them, as the geoid's own
+/// grid is.
 pub struct GeoidGrid {
     columns: usize,
     nodes: Vec<f64>,
@@ -165,7 +169,8 @@ impl GeoidGrid {
     /// Tabulates `geoid` over `grid`.
     ///
     /// # Errors
-    /// When the grid of the geoid is missing, or the place lies outside of one of the two.
+    /// [`RasterError::MissingGrid`], and [`RasterError::Transform`] where a node lies outside of the geoid's grid or of
+    /// the coordinate system; `RasterError::UnknownCrs` for a system that PROJ cannot transform.
     pub fn new(geoid: Geoid, grid: &GridSpec) -> Result<Self, RasterError> {
         let undulation = Undulation::new(geoid)?;
         let to_lon_lat = CrsTransform::to_lon_lat(&grid.crs)?;
@@ -181,14 +186,15 @@ impl GeoidGrid {
         Ok(Self { columns, nodes })
     }
 
-    /// Makes heights above the ellipsoid, of whole rows from `first_row` on, heights above the geoid.
+    /// Converts heights (metres) above the ellipsoid to heights above the geoid: whole rows of `width` pixels from
+    /// `first_row` on.
     pub fn subtract(&self, first_row: usize, width: usize, heights_m: &mut [f32]) {
         for (i, height) in heights_m.iter_mut().enumerate() {
             *height = (f64::from(*height) - self.at(i % width, first_row + i / width)) as f32;
         }
     }
 
-    /// The geoid's height at a pixel, metres.
+    /// Height of the geoid above the ellipsoid at a pixel, metres.
     pub fn at(&self, col: usize, row: usize) -> f64 {
         let (c, r) = (col / SPACING_PX, row / SPACING_PX);
         let part = |pixel: usize| (pixel % SPACING_PX) as f64 / SPACING_PX as f64;

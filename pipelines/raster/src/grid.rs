@@ -1,4 +1,5 @@
-//! Places of pixels: geotransforms with pixel centres at integers, map grids, and their way to the local frame.
+//! Positions of pixels: geotransforms with pixel centres at integers, map grids, and their conversion to the local
+//! frame.
 
 use super::{Crs, CrsTransform, RasterError};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
@@ -15,13 +16,15 @@ pub struct GeoTransform {
 }
 
 impl GeoTransform {
-    /// North-up: the outer corner of the upper-left pixel is at (`west`, `north`), pixels are `size` wide and high.
+    /// North-up transform: the outer corner of the upper-left pixel is at (`west`, `north`), and pixels are `size` map
+    /// units wide and high.
     pub fn north_up(west: f64, north: f64, size: f64) -> Self {
         Self::from_gdal([west, size, 0.0, north, 0.0, -size])
     }
 
-    /// From the text beside a truth raster of DFC2019 (`X_DSM.txt`): easting and northing of the raster's lower-left corner, its size
-    /// in pixels, metres per pixel; `rows` is the raster's own height. `None` where the text says something else.
+    /// Transform from the text beside a truth raster of DFC2019 (`X_DSM.txt`): easting and northing of the raster's
+    /// lower-left corner, its size in pixels, metres per pixel; `rows` is the raster's own height. `None` where the
+    /// text has another form.
     pub fn from_region_text(text: &str, rows: usize) -> Option<Self> {
         let numbers: Vec<f64> = text
             .split_whitespace()
@@ -35,7 +38,7 @@ impl GeoTransform {
         }
     }
 
-    /// From GDAL's six numbers, which count from the outer corner of the upper-left pixel.
+    /// Transform from GDAL's six numbers, which count from the outer corner of the upper-left pixel.
     pub fn from_gdal(six: [f64; 6]) -> Self {
         Self {
             origin: [six[0] + 0.5 * (six[1] + six[2]), six[3] + 0.5 * (six[4] + six[5])],
@@ -44,7 +47,7 @@ impl GeoTransform {
         }
     }
 
-    /// GDAL's six numbers.
+    /// GDAL's six numbers, which count from the outer corner of the upper-left pixel.
     pub fn to_gdal(&self) -> [f64; 6] {
         let corner = self.map_from_pixel(-0.5, -0.5);
         [
@@ -83,8 +86,8 @@ impl GeoTransform {
         )
     }
 
-    /// Metres per map unit, eastward and northward, at the centre of a raster of `size` columns and rows: a degree of longitude shrinks
-    /// with the cosine of the latitude. Without a coordinate system, map units are metres.
+    /// Metres per map unit, eastward and northward, at the centre of a raster of `size` columns and rows: a degree of
+    /// longitude shrinks with the cosine of the latitude. Without a coordinate system, map units are metres.
     pub fn metres_per_unit(&self, size: (usize, usize), crs: Option<&Crs>) -> [f64; 2] {
         let Some(crs) = crs else { return [1.0; 2] };
         let [_, y] = self.map_from_pixel(0.5 * size.0 as f64, 0.5 * size.1 as f64);
@@ -99,16 +102,16 @@ impl GeoTransform {
     }
 }
 
-/// A map grid: how many pixels, and where.
+/// A map grid: size in pixels, and their map coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GridSpec {
     /// Columns.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Place of the pixels.
+    /// Map coordinates of the pixels.
     pub transform: GeoTransform,
-    /// In which coordinates.
+    /// Coordinate system of the map.
     pub crs: Crs,
 }
 
@@ -131,7 +134,8 @@ impl GridSpec {
     /// rectangle of the local frame (west, south, east, north, metres) at the altitude of the frame's origin.
     ///
     /// # Errors
-    /// When `crs` does not cover the place, or the grid would have no or far too many pixels.
+    /// `RasterError::Transform` when `crs` does not cover the place, or the grid would have more than 2e9 pixels;
+    /// `RasterError::UnknownCrs` when PROJ cannot transform to it.
     pub fn covering(frame: &LocalFrame, rectangle_m: [f64; 4], crs: &Crs, gsd_m: f64) -> Result<Self, RasterError> {
         const POINTS_PER_EDGE: usize = 16;
         let size = gsd_m / crs.metres_per_unit();
@@ -144,7 +148,7 @@ impl GridSpec {
             for corner in [[x, south], [x, north], [west, y], [east, y]] {
                 let geo = frame.geo_from_enu(nalgebra::Vector3::new(corner[0], corner[1], 0.0));
                 let (x, y) = transform.apply(geo.lon_deg, geo.lat_deg)?;
-                // A place on both sides of the antimeridian is no wider for it: degrees go on beyond 180.
+                // Across the antimeridian, degrees continue beyond 180, so that the grid is no wider.
                 let x = if crs.is_geographic() {
                     around(x, frame.origin.lon_deg)
                 } else {
@@ -176,15 +180,16 @@ impl GridSpec {
     }
 }
 
-/// A longitude as the one of its kind that is nearest to another, degrees.
+/// The longitude equivalent to `lon_deg` that is nearest to `other_deg`, degrees.
 fn around(lon_deg: f64, other_deg: f64) -> f64 {
     other_deg + (lon_deg - other_deg + 180.0).rem_euclid(360.0) - 180.0
 }
 
-/// The way from a map grid to the local frame without a PROJ call per pixel: exact at nodes a few pixels apart and at
-/// two heights, interpolated between them.
+/// Conversion from a map grid to the local frame without a PROJ call per pixel: exact at nodes a few pixels apart and
+/// at two heights, interpolated between them.
 ///
-/// With nodes 16 pixels apart the interpolation error is `spacing² / (8 R)`: below 0.1 mm for spacings under 70 m.
+/// The interpolation error is `spacing² / (8 R)` with the Earth's radius `R`: below 0.1 mm for nodes (16 pixels apart)
+/// under 70 m apart.
 #[derive(Debug, Clone)]
 pub struct EnuGrid {
     spacing: usize,
@@ -199,11 +204,12 @@ impl EnuGrid {
     /// Tabulates `grid` between two ellipsoidal heights, metres.
     ///
     /// # Errors
-    /// When a node of the grid lies outside its coordinate system.
+    /// `RasterError::Transform` when a node lies outside of the coordinate system; `RasterError::UnknownCrs` when PROJ
+    /// cannot transform from it.
     pub fn new(frame: &LocalFrame, grid: &GridSpec, heights_m: (f64, f64)) -> Result<Self, RasterError> {
         const SPACING_PX: usize = 16;
         let transform = CrsTransform::to_lon_lat(&grid.crs)?;
-        // One metre apart at least, so that heights between can be told apart.
+        // At least one metre apart, so that the interpolation is defined.
         let heights_m = (heights_m.0, heights_m.1.max(heights_m.0 + 1.0));
         let nodes_for = |pixels: usize| pixels.div_ceil(SPACING_PX) + 1;
         let (columns, rows) = (nodes_for(grid.width), nodes_for(grid.height));
@@ -348,7 +354,8 @@ mod tests {
             assert_eq!(crs.definition(), format!("EPSG:{zone}"));
             let rectangle = [-500.0, -400.0, 500.0, 400.0];
             let grid = GridSpec::covering(&frame, rectangle, &crs, 1.0).expect("a grid");
-            // Meridians lean by up to three degrees at the border of a zone, and by six at that of the wide zones of Svalbard.
+            // Meridians lean by up to three degrees at the border of a zone, and by six at that of the wide zones of
+            // Svalbard.
             assert!(
                 (1000..1090).contains(&grid.width) && (800..910).contains(&grid.height),
                 "{grid:?}"

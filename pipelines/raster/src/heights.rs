@@ -1,4 +1,4 @@
-//! Heights as their file states them: scaled integers, and units other than metres, become metres.
+//! Heights in metres, from scaled integers and from other units.
 
 use super::dsm_bands::STANDARD_DEVIATION;
 use super::{GeoRaster, RasterError, RasterFile};
@@ -9,10 +9,11 @@ use std::path::Path;
 const FEET_M: [f64; 2] = [0.3048, 1200.0 / 3937.0];
 
 impl RasterFile {
-    /// Reads a whole band (0-based) of heights as metres.
+    /// Reads a whole band (0-based) of heights as metres; `NaN` where pixels are missing.
     ///
     /// # Errors
-    /// [`RasterError::HeightUnit`] for a unit that is no known length, [`RasterError::Damaged`] when the pixels cannot be read.
+    /// [`RasterError::HeightUnit`] for a unit that is no known length, [`RasterError::Damaged`] when the pixels cannot
+    /// be read.
     pub fn read_heights(&self, band: usize) -> Result<Raster, RasterError> {
         let mut heights = self.read(self.whole(), &[band])?;
         let unit_m = self.metres_per_height(band)?;
@@ -20,7 +21,7 @@ impl RasterFile {
         Ok(heights)
     }
 
-    /// Metres of the unit of a band of heights: its own, else that of the vertical coordinate system, else one.
+    /// Metres per unit of a band of heights: of its own unit, else of the vertical coordinate system, else 1.
     fn metres_per_height(&self, band: usize) -> Result<f64, RasterError> {
         let unit = self.bands.get(band).map_or("", |band| band.unit.trim());
         if unit.is_empty() {
@@ -32,7 +33,7 @@ impl RasterFile {
         })
     }
 
-    /// Applies scale and offset of a band, and a unit, to its values.
+    /// Applies scale and offset of a band, and metres per unit, to its values.
     fn scale(&self, band: usize, unit_m: f64, values: &mut [f32]) {
         let stated = self.bands.get(band).map(|band| (band.scale, band.offset));
         let (scale, offset) = stated.unwrap_or_default();
@@ -50,11 +51,12 @@ impl RasterFile {
 }
 
 impl GeoRaster {
-    /// Reads a georeferenced file whose first band holds heights: these and their standard deviations as metres, the other bands with
-    /// their scale and offset.
+    /// Reads a georeferenced file with heights in its first band: heights and their standard deviations in metres, the
+    /// other bands with their scale and offset applied.
     ///
     /// # Errors
-    /// As [`GeoRaster::read`], and [`RasterError::HeightUnit`].
+    /// A file that cannot be opened or read or has no georeferencing, as [`GeoRaster::read`];
+    /// [`RasterError::HeightUnit`] for a unit that is no known length.
     pub fn read_heights(path: &Path) -> Result<Self, RasterError> {
         let mut found = Self::read(path)?;
         let file = RasterFile::open(path)?;
@@ -67,7 +69,7 @@ impl GeoRaster {
     }
 }
 
-/// Metres of a unit of length by the names that programs give it; `None` for any other.
+/// Metres per unit of length, by the names in use; `None` for any other text.
 fn metres_per_unit(unit: &str) -> Option<f64> {
     let lower = unit.to_lowercase();
     let words: Vec<&str> = lower

@@ -1,8 +1,8 @@
 //! Raster files: the only crate that links GDAL and PROJ.
 //!
 //! Everything else sees [`Raster`](heliosplat::Raster) values, a [`GeoTransform`] and a [`Crs`]. Two conventions are
-//! turned here and nowhere else: missing values become `NaN`, and GDAL's pixel corners become our pixel centres at
-//! integers (the items of GDAL's `RPC` metadata domain are RPC00B's own and already count from pixel centres).
+//! converted here and nowhere else: missing values become `NaN`, and GDAL's pixel corners become pixel centres at
+//! integers. The items of GDAL's `RPC` metadata domain already count from pixel centres, as RPC00B does.
 
 mod band;
 pub mod bounded;
@@ -49,10 +49,10 @@ pub enum RasterError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         reason: String,
     },
-    /// Something GDAL does not recognise as an image.
+    /// A file that GDAL does not recognise as an image.
     #[error("{}: not an image GDAL can read ({reason}); give a GeoTIFF, JPEG 2000, NITF or another raster format", path.display())]
     NotAnImage {
         /// The file.
@@ -76,18 +76,18 @@ pub enum RasterError {
         /// The unit.
         unit: String,
     },
-    /// A raster that has to lie on the map, and does not.
+    /// A raster without the georeferencing that it needs.
     #[error("{}: it has no georeferencing; it needs a geotransform and a coordinate system", .0.display())]
     NotGeoreferenced(PathBuf),
-    /// A coordinate reference system PROJ does not know.
+    /// A coordinate reference system that PROJ does not recognise, or that is not supported here.
     #[error("coordinate reference system '{definition}' is not usable ({reason}); give a projected one as EPSG:N")]
     UnknownCrs {
-        /// The request.
+        /// Definition or name of the system.
         definition: String,
         /// Message of PROJ.
         reason: String,
     },
-    /// PROJ's database of coordinate systems is missing or not one.
+    /// PROJ's database of coordinate systems is missing or unusable.
     #[error(
         "PROJ's database cannot be used ({0}); install proj-data, and unset PROJ_LIB and PROJ_DATA where another program set them"
     )]
@@ -95,29 +95,29 @@ pub enum RasterError {
     /// A coordinate that cannot be transformed.
     #[error("a coordinate cannot be transformed to {crs} ({reason}); choose a coordinate system that covers the scene")]
     Transform {
-        /// The target.
+        /// Name of the target system.
         crs: String,
         /// Message of PROJ.
         reason: String,
     },
-    /// A geoid whose grid PROJ does not find.
+    /// A geoid without an installed grid.
     #[error(
         "geoid {name}: PROJ finds none of its grids ({grids}); install one into PROJ's data folder, as with `projsync --file {first}`, or leave --geoid out for heights above the ellipsoid"
     )]
     MissingGrid {
-        /// The geoid.
+        /// Name of the geoid.
         name: &'static str,
-        /// All grids that would do.
+        /// Files of the grid, of which one is enough.
         grids: String,
-        /// The one to fetch.
+        /// The file to install.
         first: &'static str,
     },
-    /// A folder holds something else than what is to be written there.
+    /// A folder that contains other files than this output.
     #[error("{}: there is something else here already ({name} is absent or not ours); choose another folder", path.display())]
     Occupied {
         /// The folder.
         path: PathBuf,
-        /// The file that says so.
+        /// Name of the file that is absent or not ours.
         name: String,
     },
     /// The disk is full.
@@ -131,7 +131,7 @@ pub enum RasterError {
     Write {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         reason: String,
     },
     /// A failure inside GDAL that is no fault of a file.
@@ -140,7 +140,7 @@ pub enum RasterError {
 }
 
 impl RasterError {
-    /// True if the input is at fault, false if the machine's disk or rights are.
+    /// True for a fault of the input, false for a failed write or a failure inside GDAL.
     pub fn is_input_fault(&self) -> bool {
         !matches!(
             self,

@@ -1,4 +1,5 @@
-//! Pixels that a file declares missing by a mask: one inside the file, that of `X.tif.msk` beside `X.tif`, or a band of opacity.
+//! Pixels that a file declares missing by a mask: one inside the file, that of `X.tif.msk` beside `X.tif`, or a band of
+//! opacity.
 //!
 //! GDAL looks for a mask under the file's own name only, and opens it with the registered formats.
 
@@ -15,7 +16,8 @@ pub(super) fn mask_path(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Reads something of the mask of a band (0-based); `None` where the band has none, or one made of its nodata value or of a band of opacity.
+/// Applies `read` to the mask of a band (0-based); `None` where the band has no mask, or one derived from its nodata
+/// value or from a band of opacity.
 pub(super) fn of_band<T>(
     dataset: &Dataset,
     band: usize,
@@ -32,7 +34,7 @@ pub(super) fn of_band<T>(
     read(&mask).map(Some)
 }
 
-/// Makes pixels missing in `values`, a window of one band, where the mask of the band or the band of opacity is zero.
+/// Sets pixels of `values`, a window of one band, to `NaN` where the mask of the band or the band of opacity is zero.
 pub(super) fn blank(
     dataset: &Dataset,
     band: usize,

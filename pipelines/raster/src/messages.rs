@@ -11,7 +11,8 @@ thread_local! {
 
 static INSTALL: Once = Once::new();
 
-/// Routes GDAL's messages to the log and to [`collect`], and leaves it only the formats this program reads; safe to call often.
+/// Routes GDAL's messages to the log and to [`collect`], and restricts GDAL to the formats that this program reads.
+/// Further calls have no effect.
 pub fn install() {
     INSTALL.call_once(|| {
         set_error_handler(|class, _, message| match class {
@@ -26,10 +27,10 @@ pub fn install() {
     });
 }
 
-/// Seconds that a server may take to answer, and to deliver, where the environment says nothing else.
+/// Seconds that a server may take to answer and to deliver, unless the environment sets them.
 const PATIENCE: [(&str, &str); 2] = [("GDAL_HTTP_CONNECTTIMEOUT", "20"), ("GDAL_HTTP_TIMEOUT", "300")];
 
-/// Opens GDAL's remote file systems: the user named a path on one.
+/// Enables GDAL's remote file systems for this process, because the user named a path on one.
 pub fn allow_network() {
     install();
     let mut done = gdal::config::clear_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME");
@@ -53,7 +54,7 @@ pub fn collect<T>(action: impl FnOnce() -> gdal::errors::Result<T>) -> Result<T,
     result.map_err(|error| first.unwrap_or_else(|| one_line(&error.to_string())))
 }
 
-/// Like [`collect`], and a failure GDAL reported without returning an error counts as one.
+/// Runs `action` as [`collect`] does; a failure that GDAL reports without returning an error is an error too.
 ///
 /// # Errors
 /// The message, on one line.

@@ -1,7 +1,7 @@
 //! A panchromatic and a multispectral image of one acquisition read as one.
 //!
-//! Images as the sensor took them have no map coordinates: where the pixels of one lie in the other is a scale and an offset along
-//! columns and rows, which the caller knows from their cameras.
+//! Images in sensor geometry have no map coordinates. The relation between their pixels is a scale and an offset along
+//! columns and rows, which the caller derives from their cameras.
 
 use super::RasterError;
 use super::Window;
@@ -9,21 +9,23 @@ use super::file::{Pixels, RasterFile};
 use heliosplat::Raster;
 use rayon::prelude::*;
 
-/// Place of the pixels of one image in another, along columns and along rows: `other = scale · own + offset`, pixel centres at integers.
+/// Position of the pixels of one image in another, along columns and along rows: `other = scale · own + offset`, pixel
+/// centres at integers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridRelation {
     /// Pixels of the other image per pixel.
     pub scale: [f64; 2],
-    /// Column and row of the other image that the centre of the first pixel lies on.
+    /// Column and row in the other image of the centre of the first pixel.
     pub offset: [f64; 2],
 }
 
 impl RasterFile {
-    /// A panchromatic image together with the multispectral one of the same acquisition: bands and their order are those of
-    /// `multispectral`, size and metadata those of `panchromatic`. `relation` leads from pixels of the panchromatic image to those of the
-    /// other. The multispectral image is resampled by cubic convolution; each of its bands is then multiplied by the ratio of the
-    /// panchromatic image to the mean of all bands (Brovey transform, A. R. Gillespie et al., "Color enhancement of highly
-    /// correlated images II", Remote Sensing of Environment 22, 1987), which leaves ratios between bands as they are.
+    /// A panchromatic image together with the multispectral one of the same acquisition: bands and their order are
+    /// those of `multispectral`, size and metadata those of `panchromatic`. `relation` maps pixels of the panchromatic
+    /// image to those of the multispectral one. The multispectral image is resampled by cubic convolution; each of its
+    /// bands is then multiplied by the ratio of the panchromatic image to the mean of all bands (Brovey transform, A.
+    /// R. Gillespie et al., "Color enhancement of highly correlated images II", Remote Sensing of Environment 22,
+    /// 1987), which leaves ratios between bands as they are.
     #[must_use]
     pub fn pansharpened(panchromatic: Self, multispectral: Self, relation: &GridRelation) -> Self {
         let mut files = panchromatic.files().chain(multispectral.files()).cloned();
@@ -38,9 +40,11 @@ impl RasterFile {
     }
 }
 
-/// A panchromatic image and the multispectral one that gives it colours.
+/// A panchromatic image and the multispectral one of its colours.
 pub(super) struct Pansharpening {
+    /// Image that gives size, metadata and detail.
     pub(super) panchromatic: RasterFile,
+    /// Image that gives bands and their ratios.
     pub(super) multispectral: RasterFile,
     relation: GridRelation,
 }
@@ -75,12 +79,12 @@ impl Pansharpening {
     }
 }
 
-/// Sources of pixel values along one axis of another image.
+/// Source pixels and weights along one axis of another image.
 struct Taps {
-    /// First pixel of the other image that is read, and how many are.
+    /// First pixel of the other image that is read, and their number.
     first: usize,
     count: usize,
-    /// For each pixel the first of its four neighbours, from `first` on, and their weights.
+    /// For each pixel the first of its four neighbours, counted from `first`, and their weights.
     neighbours: Vec<(isize, [f32; 4])>,
 }
 
@@ -104,8 +108,8 @@ impl Taps {
     }
 }
 
-/// Weights of the four neighbours of a place between the second and the third, `t` after the second: cubic convolution with a = -1/2
-/// (R. Keys, "Cubic convolution interpolation for digital image processing", IEEE Trans. ASSP 29, 1981).
+/// Weights of the four neighbours of a position `t` (0..1) after the second: cubic convolution with a = -1/2 (R. Keys,
+/// "Cubic convolution interpolation for digital image processing", IEEE Trans. ASSP 29, 1981).
 fn cubic(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [
@@ -116,7 +120,7 @@ fn cubic(t: f32) -> [f32; 4] {
     ]
 }
 
-/// The weighted mean of those of four neighbours that are known; unknown where the nearest is.
+/// Weighted mean of the known ones of four neighbours; `NaN` where the nearest is unknown.
 fn interpolate(weights: [f32; 4], neighbour: impl Fn(usize) -> f32) -> f32 {
     let values: [f32; 4] = std::array::from_fn(neighbour);
     if values[if weights[1] >= weights[2] { 1 } else { 2 }].is_nan() {
@@ -162,8 +166,8 @@ mod tests {
     use crate::{ImageSpec, SampleType, write_geotiff};
     use std::path::Path;
 
-    /// A pan image of 64 x 48 pixels of 100 to 227, and colours of a quarter of its size whose first band is the pan image's mean
-    /// and whose second is twice that.
+    /// A pan image of 64 x 48 pixels of 100 to 227, and colours of a quarter of its size whose first band is the pan
+    /// image's mean and whose second is twice that.
     fn pair(folder: &Path) -> [std::path::PathBuf; 2] {
         let (width, height) = (64, 48);
         let mut pan = Raster::filled(width, height, 1, 0.0);

@@ -14,7 +14,7 @@ pub const UNKNOWN: Rgb<u8> = Rgb([40, 40, 48]);
 /// Writes a picture as PNG, whole or not at all.
 ///
 /// # Errors
-/// As [`write_cog`](super::write_cog).
+/// A full disk, a refused permission or another failure to write, as [`write_cog`](super::write_cog).
 pub fn write_png(path: &Path, picture: &RgbImage) -> Result<(), RasterError> {
     let mut bytes = Cursor::new(Vec::new());
     picture
@@ -27,7 +27,8 @@ pub fn write_png(path: &Path, picture: &RgbImage) -> Result<(), RasterError> {
 }
 
 /// Hillshade of the first band of an altitude raster (metres) with pixels of `gsd_m` metres, north up: light from the
-/// north-west at 45°, mixed with the altitude between its 2nd and 98th percentile so that flat roofs differ from ground.
+/// north-west at 45°, mixed with the altitude between its 2nd and 98th percentile so that flat roofs differ from
+/// ground.
 pub fn hillshade(altitude: &Raster, gsd_m: f64) -> RgbImage {
     let (width, height) = (altitude.width, altitude.height);
     let plane = altitude.plane(0);
@@ -57,8 +58,8 @@ pub fn hillshade(altitude: &Raster, gsd_m: f64) -> RgbImage {
     })
 }
 
-/// The first three bands (or the first, as grey), each picture stretched between its 1st and 99th percentile over all
-/// shown bands, with display gamma 2.2.
+/// Picture of the first three bands (or of the first, in grey), stretched between the 1st and the 99th percentile over
+/// all shown bands, with display gamma 2.2.
 pub fn stretched(raster: &Raster) -> RgbImage {
     stretched_within(raster, shown_range(raster).unwrap_or((0.0, 1.0)))
 }
@@ -69,7 +70,8 @@ pub fn shown_range(raster: &Raster) -> Option<(f32, f32)> {
     percentiles(&raster.values[..raster.plane_len() * distinct], 0.01, 0.99)
 }
 
-/// As [`stretched`], between two given values: pictures of one range can be compared.
+/// Picture of the first three bands (or of the first, in grey), stretched between two given values, with display gamma
+/// 2.2 as [`stretched`] has it: pictures of one range can be compared.
 pub fn stretched_within(raster: &Raster, (low, high): (f32, f32)) -> RgbImage {
     let shown: [usize; 3] = if raster.bands >= 3 { [0, 1, 2] } else { [0; 3] };
     let span = (high - low).max(f32::MIN_POSITIVE);
@@ -82,7 +84,7 @@ pub fn stretched_within(raster: &Raster, (low, high): (f32, f32)) -> RgbImage {
     })
 }
 
-/// Pictures of one size from left to right; nothing of none.
+/// Pictures of one size from left to right; an empty picture without any.
 pub fn side_by_side(panels: &[RgbImage]) -> RgbImage {
     let (width, height) = panels.first().map_or((0, 0), RgbImage::dimensions);
     RgbImage::from_fn(width * panels.len() as u32, height, |col, row| {
@@ -90,7 +92,7 @@ pub fn side_by_side(panels: &[RgbImage]) -> RgbImage {
     })
 }
 
-/// Paints `mask` (first band, 0..1) over a picture of the same size: where it is 1, half of the colour.
+/// Paints `mask` (first band, 0..1) over a picture of the same size: a mask of 1 mixes in half of `colour`.
 pub fn overlay(picture: &mut RgbImage, mask: &Raster, colour: [u8; 3]) {
     for (col, row, pixel) in picture.enumerate_pixels_mut() {
         if (col as usize) < mask.width && (row as usize) < mask.height {
@@ -105,7 +107,8 @@ pub fn overlay(picture: &mut RgbImage, mask: &Raster, colour: [u8; 3]) {
     }
 }
 
-/// Two quantiles of the finite values, from at most a few hundred thousand evenly spaced ones; `None` without any.
+/// The quantiles `low` and `high` (0..1) of the finite values, from at most a few hundred thousand evenly spaced ones;
+/// `None` without any.
 pub fn percentiles(values: &[f32], low: f64, high: f64) -> Option<(f32, f32)> {
     const MOST: usize = 400_000;
     let step = (values.len() / MOST).max(1);

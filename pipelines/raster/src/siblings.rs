@@ -1,5 +1,5 @@
-//! An image and the files beside it that GDAL may open with it, looked at before GDAL does: it waits for pipes without end, and reads
-//! texts whole, however long.
+//! Checks of an image and of the files beside it before GDAL opens them: GDAL blocks on pipes, and reads texts of any
+//! length whole.
 
 use crate::RasterError;
 use std::fs::{self, File};
@@ -15,11 +15,12 @@ const TEXTS: [&str; 17] = [
 ];
 /// Parts of the names of other texts.
 const TEXT_NAMES: [&str; 5] = ["rpc", "metadata", "mtl", "summary", "hdr"];
-/// Nodes of an HFA file that are looked at.
+/// Largest number of nodes of an HFA file that are checked.
 const NODES_MAX: usize = 100_000;
 
-/// The names in an image's folder, for GDAL, which lists it itself otherwise; none where it cannot be listed. Refuses an image that is no
-/// regular file, cannot be read, or has a file beside it that must not be opened.
+/// Names of the files in an image's folder, for GDAL, which otherwise lists the folder itself; `None` where it cannot
+/// be listed. Refuses an image that is no regular file, cannot be read, or has a file beside it that must not be
+/// opened.
 pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
     let unreadable = |path: &Path, reason: String| RasterError::Unreadable {
         path: path.to_owned(),
@@ -28,7 +29,7 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
     let Ok(known) = fs::metadata(path) else {
         return Err(RasterError::Missing(path.to_owned()));
     };
-    // Opening a pipe would wait for ever.
+    // Opening a pipe would block for ever.
     if !known.is_file() {
         return Err(RasterError::NotAnImage {
             path: path.to_owned(),
@@ -80,8 +81,8 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
     Ok(Some(names))
 }
 
-/// True if the pixels of an HFA file (Erdas Imagine) are in a file of another folder: the node `ExternalRasterDMS` names it. `None`
-/// where the file is of another format or ends early.
+/// True if the pixels of an HFA file (Erdas Imagine) are in a file of another folder: the node `ExternalRasterDMS`
+/// names it. `None` where the file is of another format or ends early.
 fn hfa_leads_away(mut file: File) -> Option<bool> {
     let mut at = |place: u32, length: usize| -> Option<Vec<u8>> {
         let mut bytes = vec![0; length];
@@ -97,7 +98,8 @@ fn hfa_leads_away(mut file: File) -> Option<bool> {
             bytes.get(4 * index..4 * index + 4)?.try_into().ok()?,
         ))
     };
-    // Behind the tag the place of the header: version, free list, root. Of a node: next, previous, parent, first child, data, their length, name.
+    // The tag is followed by the offset of the header: version, free list, root. Fields of a node: next, previous,
+    // parent, first child, data, their length, name.
     let header = number(&at(16, 4)?, 0)?;
     let mut places = vec![number(&at(header, 12)?, 2)?];
     for _ in 0..NODES_MAX {

@@ -5,10 +5,10 @@ use super::Window;
 use super::file::{Pixels, RasterFile};
 
 impl RasterFile {
-    /// Files of equal size as one image that has the bands of all; path and metadata are those of the first.
+    /// Files of equal size as one image with the bands of all; path and metadata are those of the first.
     ///
     /// # Errors
-    /// [`RasterError::NotAnImage`] when their sizes differ.
+    /// [`RasterError::NotAnImage`] when their sizes differ, `RasterError::Gdal` without files.
     pub fn stacked(files: Vec<Self>) -> Result<Self, RasterError> {
         let Some(first) = files.first() else {
             return Err(RasterError::Gdal("an image of no files".to_owned()));

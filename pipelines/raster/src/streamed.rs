@@ -1,7 +1,8 @@
-//! Cloud-optimised GeoTIFFs that are larger than memory: rows are written as they come, and the file is made of them at the end.
+//! Cloud-optimised GeoTIFFs that are larger than memory: rows are written as they come, and assembled to the file at
+//! the end.
 //!
-//! Rows go to a plain GeoTIFF in a temporary folder beside the target, which is gone when this ends in whatever way. The finished file is
-//! renamed, so that nothing half-written is ever seen under the target's name.
+//! Rows go to a plain GeoTIFF in a temporary folder beside the target, which is removed after success and failure
+//! alike. The finished file is renamed to the target, which is therefore never incomplete.
 
 use super::temporary::{TemporaryFolder, target};
 use super::write::{NODATA, add_statistics, cog_options, describe};
@@ -11,7 +12,7 @@ use gdal::{Dataset, DriverManager};
 use heliosplat::Raster;
 use std::path::{Path, PathBuf};
 
-/// A float32 cloud-optimised GeoTIFF as [`super::write_cog`] writes it, of which rows are written in turn.
+/// A float32 cloud-optimised GeoTIFF as [`super::write_cog`] writes it, written row by row.
 pub struct StreamedCog {
     path: PathBuf,
     folder: TemporaryFolder,
@@ -19,10 +20,10 @@ pub struct StreamedCog {
 }
 
 impl StreamedCog {
-    /// Begins a file as wide and high and of as many bands as the raster of `spec`, whose values are not looked at.
+    /// Begins a file with the width, height and bands of the raster of `spec`; its values are not read.
     ///
     /// # Errors
-    /// As [`super::write_cog`].
+    /// A full disk, a refused permission or another failure to write, as [`super::write_cog`].
     pub fn create(path: &Path, spec: &ImageSpec) -> Result<Self, RasterError> {
         let folder = TemporaryFolder::beside(path)?;
         let rows = folder.path().join("rows.tif");
@@ -51,10 +52,10 @@ impl StreamedCog {
         })
     }
 
-    /// Writes the rows from `row0` on; `NaN` becomes nodata.
+    /// Writes whole rows of all bands from `row0` on; `NaN` and infinities become nodata.
     ///
     /// # Errors
-    /// As [`super::write_cog`].
+    /// A full disk, a refused permission or another failure to write, as [`super::write_cog`].
     pub fn write_rows(&mut self, row0: usize, rows: &Raster) -> Result<(), RasterError> {
         let size = (rows.width, rows.height);
         messages::collect_strictly(|| {
@@ -69,10 +70,10 @@ impl StreamedCog {
         .map_err(|reason| failed(&self.path, reason))
     }
 
-    /// Makes the file of its rows.
+    /// Assembles the file from its rows.
     ///
     /// # Errors
-    /// As [`super::write_cog`]; nothing is left behind.
+    /// A full disk, a refused permission or another failure to write, as [`super::write_cog`]; nothing is left behind.
     pub fn finish(mut self) -> Result<(), RasterError> {
         let finished = self.folder.path().join("finished.tif");
         messages::collect_strictly(|| self.dataset.flush_cache()).map_err(|reason| failed(&self.path, reason))?;

@@ -1,6 +1,7 @@
 //! Files and folders that are being written, under temporary names beside their targets.
 //!
-//! Each is locked while its process lives. A killed process leaves them unlocked: the next process that writes into their folder removes them.
+//! Each is locked while its process lives. A killed process leaves them unlocked: the next process that writes into
+//! their folder removes them.
 
 use crate::RasterError;
 use std::collections::BTreeSet;
@@ -10,12 +11,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use tempfile::{Builder, NamedTempFile, TempDir};
 
-/// Beginning of their names.
+/// Prefix of temporary names.
 const PREFIX: &str = ".heliosplat-part-";
 /// Symbolic links that are followed, as many as Linux follows.
 const LINKS: usize = 40;
 
-/// The file that a path stands for: where it is a symbolic link, the file that the link leads to, so that the link stays.
+/// The target of a path after symbolic links: writing replaces the target and keeps the link.
 pub(crate) fn target(path: &Path) -> PathBuf {
     let mut target = path.to_owned();
     for _ in 0..LINKS {
@@ -25,7 +26,7 @@ pub(crate) fn target(path: &Path) -> PathBuf {
     target
 }
 
-/// The folder of a file.
+/// The folder of a file; `.` for a bare name.
 pub(crate) fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -33,7 +34,7 @@ pub(crate) fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// A new file in the folder of `path`, which is made where it is absent.
+/// A new locked file in the folder of `path`, which is created where it is absent.
 pub(crate) fn file_beside(path: &Path) -> Result<NamedTempFile> {
     let folder = folder_of(path);
     prepare(folder)?;
@@ -53,7 +54,7 @@ pub(crate) fn file_beside(path: &Path) -> Result<NamedTempFile> {
     }
 }
 
-/// A temporary folder, gone when dropped.
+/// A temporary folder, removed when dropped.
 #[derive(Debug)]
 pub struct TemporaryFolder {
     folder: TempDir,
@@ -61,7 +62,7 @@ pub struct TemporaryFolder {
 }
 
 impl TemporaryFolder {
-    /// A new folder in `home`, which is made where it is absent.
+    /// A new folder in `home`, which is created where it is absent.
     ///
     /// # Errors
     /// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`].
@@ -72,7 +73,7 @@ impl TemporaryFolder {
     /// A new folder in the folder of `path`.
     ///
     /// # Errors
-    /// As [`Self::inside`].
+    /// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`], as [`Self::inside`].
     pub fn beside(path: &Path) -> std::result::Result<Self, RasterError> {
         Self::make(folder_of(&target(path))).map_err(|error| RasterError::from_io(path, &error))
     }
@@ -81,7 +82,7 @@ impl TemporaryFolder {
         prepare(home)?;
         loop {
             let folder = Builder::new().prefix(PREFIX).tempdir_in(home)?;
-            // Where folders cannot be opened, it stays without a lock, and is not removed there either.
+            // A folder that cannot be opened has no lock, and is not removed as a leftover either.
             let lock = File::open(folder.path()).ok();
             if lock.as_ref().is_none_or(|lock| is_ours(lock, folder.path())) {
                 return Ok(Self { folder, _lock: lock });
@@ -89,18 +90,18 @@ impl TemporaryFolder {
         }
     }
 
-    /// Its path.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 }
 
-/// Locks a new file or folder, unless another process took it for a leftover meanwhile.
+/// Locks a new file or folder; false if another process took it for a leftover meanwhile.
 fn is_ours(file: &File, path: &Path) -> bool {
     !matches!(file.try_lock(), Err(TryLockError::WouldBlock)) && path.exists()
 }
 
-/// Makes a folder, and once in the life of this process removes from it what killed processes left.
+/// Creates a folder, and removes the leftovers of killed processes from it, once per process.
 fn prepare(folder: &Path) -> Result<()> {
     static SEEN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
     std::fs::create_dir_all(folder)?;
@@ -119,7 +120,7 @@ fn remove_leftovers(folder: &Path) {
         };
         let path = entry.path();
         let unlocked = || File::open(&path).ok().filter(|file| file.try_lock().is_ok());
-        // One that stays takes room and does no other harm.
+        // A leftover that cannot be removed takes space and does no other harm.
         if kind.is_dir()
             && let Some(_lock) = unlocked()
         {

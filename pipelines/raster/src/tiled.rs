@@ -1,4 +1,4 @@
-//! An image in several tiles, read as one.
+//! An image of several tiles, read as one.
 
 use super::RasterError;
 use super::Window;
@@ -11,17 +11,19 @@ const FARTHEST: usize = i32::MAX as usize;
 /// One tile of an image.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tile {
-    /// Its file.
+    /// Path of its file.
     pub path: PathBuf,
-    /// Column and row of the image that its first pixel is.
+    /// Column and row of its first pixel in the image.
     pub first: [usize; 2],
 }
 
 impl RasterFile {
-    /// Opens the tiles of one image as one: path and metadata are those of the first tile, pixels that no tile has are missing.
+    /// Opens the tiles of one image as one: path and metadata are those of the first tile, and pixels outside of all
+    /// tiles are missing.
     ///
     /// # Errors
-    /// As [`RasterFile::open`], for any tile; [`RasterError::NotAnImage`] when tiles have different bands.
+    /// As [`RasterFile::open`], for any tile; [`RasterError::NotAnImage`] when tiles have different bands or begin
+    /// beyond the largest column or row; `RasterError::Gdal` without tiles.
     pub fn tiled(tiles: &[Tile]) -> Result<Self, RasterError> {
         let files = tiles
             .iter()
@@ -66,7 +68,7 @@ impl RasterFile {
     }
 }
 
-/// Tiles of one image, at least one, with the column and row of the image that the first pixel of each is.
+/// Tiles of one image, at least one, each with the column and row of its first pixel in the image.
 pub(super) struct Mosaic(Vec<([usize; 2], RasterFile)>);
 
 impl Mosaic {
@@ -80,8 +82,8 @@ impl Mosaic {
         self.0.iter_mut().map(|(_, file)| file)
     }
 
-    /// The values of the given bands of a window, one band after the other; `NaN` where no tile has any. Of tiles that overlap the later
-    /// one counts.
+    /// The values of the given bands of a window, one band after the other; `NaN` outside of all tiles. Where tiles
+    /// overlap, the last one is used.
     pub(super) fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
         let plane = window.width * window.height;
         let mut values = vec![f32::NAN; plane * bands.len()];

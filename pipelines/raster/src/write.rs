@@ -1,8 +1,8 @@
 //! Writing: cloud-optimised GeoTIFFs and plain GeoTIFFs, whole or not at all.
 //!
 //! GDAL writes into memory; the finished bytes go to a temporary file beside the target, which is renamed when it is
-//! complete. So a full disk or a refused permission is an error of the operating system with its own name, and nothing
-//! half-written is ever seen under the target's name.
+//! complete. A full disk or a refused permission is therefore an error of the operating system with its own name, and
+//! the target is never incomplete.
 
 use super::{Crs, GeoTransform, RasterError, drivers, messages, temporary};
 use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterBand, RasterCreationOptions};
@@ -15,16 +15,16 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// No-data value of the float rasters that we write.
 pub const NODATA: f32 = -9999.0;
 
-/// A raster to write and what is to be said about it.
+/// A raster to write, with its descriptions, georeference and metadata.
 #[derive(Debug, Clone, Copy)]
 pub struct ImageSpec<'a> {
     /// The values; `NaN` becomes nodata in float files and 0 in integer files.
     pub raster: &'a Raster,
-    /// One description per band, or none at all.
+    /// One description per band, or empty.
     pub band_descriptions: &'a [&'a str],
-    /// One unit per band, or none at all.
+    /// One unit per band, or empty.
     pub band_units: &'a [&'a str],
-    /// Its place on the map, if it has one.
+    /// Geotransform and coordinate system, if it has them.
     pub georeference: Option<(&'a GeoTransform, &'a Crs)>,
     /// Items of the default metadata domain.
     pub metadata: &'a [(String, String)],
@@ -33,7 +33,7 @@ pub struct ImageSpec<'a> {
 }
 
 impl<'a> ImageSpec<'a> {
-    /// A raster about which nothing is said.
+    /// A raster without descriptions, georeference and metadata.
     pub fn plain(raster: &'a Raster) -> Self {
         Self {
             raster,
@@ -60,7 +60,7 @@ pub enum SampleType {
 /// Meaning of the bytes of an 8-bit raster.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Bytes {
-    /// Yes and no: 1, 0, and 255 where nothing is known. Overviews show what most pixels are.
+    /// Yes and no: 1, 0, and 255 where nothing is known. Overviews show the most frequent value.
     Mask,
     /// Shades from 1 to 255, 0 where nothing is known. Overviews show the mean.
     Shades,
@@ -76,8 +76,8 @@ impl Bytes {
     }
 }
 
-/// Writes a float32 cloud-optimised GeoTIFF: tiled, deflated, overviews, nodata -9999, statistics. It has no predictor, which Whitebox and
-/// others read wrongly.
+/// Writes a float32 cloud-optimised GeoTIFF: tiled, deflated, overviews, nodata -9999, statistics. It has no predictor,
+/// because Whitebox and others read predictors wrongly.
 ///
 /// # Errors
 /// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`]; nothing is left behind.
@@ -90,11 +90,11 @@ pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
     )
 }
 
-/// Writes an int32 cloud-optimised GeoTIFF of what `convert` makes of the values; what is 0 or NaN becomes 0, its nodata. Overviews show the
-/// nearest cell: a mean of days is no day.
+/// Writes an int32 cloud-optimised GeoTIFF of the values after `convert`; 0, `NaN` and infinities become 0, its nodata.
+/// Overviews show the nearest cell: a mean of dates is no date.
 ///
 /// # Errors
-/// As [`write_cog`].
+/// A full disk, a refused permission or another failure to write, as [`write_cog`].
 pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) -> i32) -> Result<(), RasterError> {
     let converted = |_, value: f32| {
         if value.is_finite() && value != 0.0 {
@@ -110,10 +110,11 @@ pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) ->
     write_copy(path, &dataset, "COG", &cog_options("NEAREST"))
 }
 
-/// Writes an 8-bit cloud-optimised GeoTIFF; values are rounded and clamped, `NaN` becomes the nodata of `bytes`.
+/// Writes an 8-bit cloud-optimised GeoTIFF; values are rounded and clamped to 0..=255, and `NaN` becomes the nodata of
+/// `bytes`.
 ///
 /// # Errors
-/// As [`write_cog`].
+/// A full disk, a refused permission or another failure to write, as [`write_cog`].
 pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(), RasterError> {
     let (nodata, resampling) = match bytes {
         Bytes::Mask => (bytes.nodata(), "MODE"),
@@ -127,6 +128,7 @@ pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(),
     write_copy(path, &dataset, "COG", &cog_options(resampling))
 }
 
+/// Options of GDAL's COG driver; `resampling` is that of the overviews.
 pub(super) fn cog_options(resampling: &str) -> [String; 6] {
     [
         "COMPRESS=DEFLATE".into(),
@@ -134,15 +136,16 @@ pub(super) fn cog_options(resampling: &str) -> [String; 6] {
         "OVERVIEWS=AUTO".into(),
         format!("RESAMPLING={resampling}"),
         "BIGTIFF=IF_SAFER".into(),
-        // One and two give the same bytes.
+        // One and two threads give the same bytes.
         format!("NUM_THREADS={}", rayon::current_num_threads()),
     ]
 }
 
-/// Writes a plain deflated GeoTIFF with samples of the given type; integers are rounded and clamped.
+/// Writes a plain deflated GeoTIFF with samples of the given type. Integers are rounded and clamped, `NaN` becomes 0;
+/// floats have nodata -9999.
 ///
 /// # Errors
-/// As [`write_cog`].
+/// A full disk, a refused permission or another failure to write, as [`write_cog`].
 pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<(), RasterError> {
     let predictor = if sample == SampleType::F32 {
         "PREDICTOR=3"
@@ -154,11 +157,12 @@ pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: SampleType) -> Resul
     write_copy(path, &dataset, "GTiff", &options)
 }
 
-/// Copies an image to a plain deflated GeoTIFF, its samples and metadata as they are, with another rational camera: items of GDAL's
-/// `RPC` domain (pixel centres at integers).
+/// Copies an image to a plain deflated GeoTIFF, its samples and metadata as they are, with another rational camera:
+/// items of GDAL's `RPC` domain (pixel centres at integers).
 ///
 /// # Errors
-/// As [`write_cog`], and what [`super::RasterFile::open`] says of the image.
+/// A full disk, a refused permission or another failure to write, as [`write_cog`]; those of
+/// [`super::RasterFile::open`] for the image.
 pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> Result<(), RasterError> {
     let source = super::RasterFile::open(image)?;
     let copy = messages::collect_strictly(|| {
@@ -178,13 +182,14 @@ pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> R
     write_copy(target, &copy, "GTiff", &["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"])
 }
 
-/// Bytes that are handed on at once.
+/// Bytes of one write.
 const PART: usize = 8 << 20;
 
-/// Copies a file, byte for byte, to a place on one of GDAL's virtual file systems.
+/// Copies a file, byte for byte, to a path on one of GDAL's virtual file systems.
 ///
 /// # Errors
-/// [`RasterError::Write`] with what GDAL says, and what the operating system says of the source.
+/// [`RasterError::Write`] with GDAL's message, and the operating system's errors of the source as
+/// `RasterError::from_io` converts them.
 pub fn deliver(source: &Path, target: &Path) -> Result<(), RasterError> {
     messages::allow_network();
     let mut file = std::fs::File::open(source).map_err(|error| RasterError::from_io(source, &error))?;
@@ -211,7 +216,7 @@ pub fn deliver(source: &Path, target: &Path) -> Result<(), RasterError> {
     fault.map_or(Ok(()), |error| Err(RasterError::from_io(source, &error)))
 }
 
-/// A file that is written on one of GDAL's virtual file systems, from one end to the other, as object stores take files.
+/// A file on one of GDAL's virtual file systems, written sequentially, as object stores require.
 struct VirtualFile {
     handle: *mut gdal_sys::VSILFILE,
 }
@@ -258,7 +263,7 @@ impl VirtualFile {
 #[allow(unsafe_code, reason = "the crate gdal writes no files on virtual file systems")]
 impl Drop for VirtualFile {
     fn drop(&mut self) {
-        // SAFETY: the handle is open; `close` forgets what it closed.
+        // SAFETY: the handle is open, because `close` forgets a file that it closed.
         unsafe { gdal_sys::VSIFCloseL(self.handle) };
     }
 }
@@ -300,7 +305,7 @@ fn build<T: GdalType + Copy>(
     })
 }
 
-/// Tells a dataset what a specification says about it.
+/// Sets georeference, metadata, descriptions, units and nodata of a dataset.
 pub(super) fn describe(dataset: &mut Dataset, spec: &ImageSpec, nodata: Option<f32>) -> gdal::errors::Result<()> {
     if let Some((transform, crs)) = spec.georeference {
         dataset.set_geo_transform(&transform.to_gdal())?;
@@ -330,7 +335,7 @@ pub(super) fn describe(dataset: &mut Dataset, spec: &ImageSpec, nodata: Option<f
     Ok(())
 }
 
-/// Puts minimum, maximum, mean and standard deviation of each band into its metadata, as far as any of its values are known.
+/// Writes minimum, maximum, mean and standard deviation into the metadata of each band that has known values.
 pub(super) fn add_statistics(dataset: &Dataset) {
     for index in 1..=dataset.raster_count() {
         let found = messages::collect(|| dataset.rasterband(index)?.get_statistics(true, false));
@@ -340,7 +345,8 @@ pub(super) fn add_statistics(dataset: &Dataset) {
     }
 }
 
-/// The colour interpretation of a band by its description: programs show red, green and blue as such, and one band alone in grey.
+/// The colour interpretation of a band by its description: programs show red, green and blue as such, and one band
+/// alone in grey.
 fn interpretation(description: Option<&&str>, bands: usize) -> Option<ColorInterpretation> {
     match description.copied() {
         Some("red") => Some(ColorInterpretation::RedBand),
@@ -351,7 +357,7 @@ fn interpretation(description: Option<&&str>, bands: usize) -> Option<ColorInter
     }
 }
 
-/// Sets the unit of a band, which the crate can only read.
+/// Sets the unit of a band; the crate gdal has no setter.
 #[allow(unsafe_code, reason = "the crate gdal has no name for this function")]
 fn set_unit(band: &RasterBand, unit: &str) -> gdal::errors::Result<()> {
     let text = std::ffi::CString::new(unit)?;
@@ -373,7 +379,7 @@ impl MemoryFile {
 
 impl Drop for MemoryFile {
     fn drop(&mut self) {
-        // Already gone when its bytes were taken.
+        // The file is already gone when its bytes were taken.
         let _ = messages::collect(|| gdal::vsi::unlink_mem_file(&self.0));
     }
 }
@@ -396,18 +402,19 @@ fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, optio
     write_atomically(path, &bytes)
 }
 
-/// Writes `bytes` to a temporary file beside `path` and renames it; parent folders are made, and a symbolic link is written through.
+/// Writes `bytes` to a temporary file beside `path` and renames it. Parent folders are created, and a symbolic link is
+/// kept: its target is replaced.
 ///
 /// # Errors
-/// As [`write_cog`].
+/// A full disk, a refused permission or another failure to write, as [`write_cog`].
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RasterError> {
     write_atomically_with(path, |file| file.write_all(bytes))
 }
 
-/// Writes a file by `fill`, completely or not at all.
+/// Writes a file by `fill`, completely or not at all, as [`write_atomically`] does.
 ///
 /// # Errors
-/// As [`write_cog`].
+/// A full disk, a refused permission or another failure to write, as [`write_cog`].
 pub fn write_atomically_with(
     path: &Path,
     fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
@@ -421,10 +428,10 @@ pub fn write_atomically_with(
     Ok(())
 }
 
-/// Removes a file, if it is there.
+/// Removes a file, if it exists.
 ///
 /// # Errors
-/// As [`write_cog`].
+/// A refused permission or another failure to remove, as [`write_cog`].
 pub fn remove(path: &Path) -> Result<(), RasterError> {
     match std::fs::remove_file(path) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(RasterError::from_io(path, &error)),

@@ -1,9 +1,10 @@
-//! Camera adjustment of a scene: ties between its images, corrections of their pointing, corrected cameras as files.
+//! Camera adjustment of a scene: ties between its images, corrections of their pointing, and corrected cameras as
+//! files.
 //!
 //! Ties need cameras that agree to a few pixels and a surface of that accuracy, so pointing is estimated from coarse to
-//! fine: shifts from a coarse sweep, ties and an adjustment at half resolution, and again at full resolution. The
-//! coarse shifts can be wrong (little texture, few views), so the adjustment at half resolution also runs without them;
-//! the result with more agreeing ties is used.
+//! fine: shifts from a coarse sweep, then ties and an adjustment at half and at full resolution. Coarse shifts can be
+//! wrong (little texture, few views), so the adjustment at half resolution also runs without them; the result with more
+//! agreeing ties is used.
 
 pub mod camera_error;
 mod contradiction;
@@ -27,12 +28,12 @@ use heliosplat_stereo::pointing::ties::{Tie, TieOptions, find_ties};
 use heliosplat_stereo::{MatchingParameters, SweepView};
 use nalgebra::Vector3;
 
-/// Ties sought at half resolution, and at full.
+/// Approximate number of tiles of the ground, with at most one tie each, at half and at full resolution.
 const TILES: [usize; 2] = [900, 2000];
-/// Correlation at which a sighting counts nothing.
+/// Correlation at or below which a sighting has no weight.
 const WORTHLESS_SCORE: f32 = 0.7;
 
-/// The ground of `scene` in all of its images, held-out ones too, whose cameras have the same errors.
+/// The common ground of a scene in all of its images. Held-out images are included: their cameras have errors too.
 ///
 /// # Errors
 /// When fewer than two images show the common ground.
@@ -43,21 +44,21 @@ pub fn ground(scene: &Scene) -> Result<GroundViews<'_>, SatelliteError> {
 /// Input of the search for ties.
 #[derive(Clone, Copy)]
 pub struct AdjustInput<'a> {
-    /// The ground.
+    /// The ground and the images that show it.
     pub ground: &'a GroundViews<'a>,
-    /// Its views with their cameras as delivered.
+    /// Views of the ground with the cameras as delivered.
     pub views: &'a [SweepView<'a>],
-    /// Width of the patches' cells: a pixel on the ground, metres.
+    /// Width of the cells of a patch, metres: one pixel on the ground.
     pub cell_m: f64,
-    /// Parameters of the plane sweeps that the ties lie on.
+    /// Parameters of the plane sweeps whose surface the ties lie on.
     pub matching: MatchingParameters,
 }
 
-/// Adjustment of the images' pointing by tie points between them: the whole one, or that at half resolution, in half of
-/// the time.
+/// Adjustment of the images' pointing by tie points between them: at full resolution if `is_whole`, else at half
+/// resolution, which takes half of the time. `gsd_m` is the width of a pixel on the ground, metres.
 ///
 /// # Errors
-/// When there are too few ties.
+/// [`RpcError::Invalid`] when there are too few ties.
 pub(super) fn adjustment_of_ties(
     ground: &GroundViews,
     rasters: &[Raster],
@@ -70,7 +71,7 @@ pub(super) fn adjustment_of_ties(
     let input = AdjustInput {
         ground,
         views: &views,
-        // Patches of whole pixels, however coarse the model's cells are.
+        // Cells of one pixel, even where the model's cells are coarser.
         cell_m: gsd_m,
         matching,
     };
@@ -81,7 +82,8 @@ pub(super) fn adjustment_of_ties(
 }
 
 impl AdjustInput<'_> {
-    /// Finds ties and the corrections that make the images agree on them; `progress` receives the share done.
+    /// Finds ties, and the corrections that make the images agree on them; `progress` receives the completed share,
+    /// 0..1.
     ///
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.
@@ -89,10 +91,10 @@ impl AdjustInput<'_> {
         self.tied(model, progress).map(|(adjustment, _)| adjustment)
     }
 
-    /// The same, and the ties, whose sightings count the pixels of what was read of each image.
+    /// Finds ties and corrections; returns both. Sightings of the ties are in pixels of the windows that were read.
     ///
     /// # Errors
-    /// As [`Self::adjust`].
+    /// [`RpcError::Invalid`] when there are too few ties.
     pub(crate) fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<(Adjustment, Vec<Track>), RpcError> {
         let half = self.at_half_resolution()?;
         progress(0.5);
@@ -112,10 +114,10 @@ impl AdjustInput<'_> {
         Ok((full, tracks))
     }
 
-    /// The better of two adjustments at half resolution: from the shifts of a coarse sweep and from none.
+    /// The better of two adjustments at half resolution: one from the shifts of a coarse sweep, one from none.
     ///
     /// # Errors
-    /// As [`Self::adjust`].
+    /// [`RpcError::Invalid`] when there are too few ties.
     fn at_half_resolution(&self) -> Result<Adjustment, RpcError> {
         let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m, self.matching));
         let none = vec![[0.0; 2]; self.views.len()];
@@ -131,8 +133,8 @@ impl AdjustInput<'_> {
         }
     }
 
-    /// Ties between the cameras moved by `shifts`, at half (0) or full (1) resolution, and the adjustment of the
-    /// delivered ones.
+    /// Ties between the cameras moved by `shifts` (columns, rows; pixels), at half (0) or full (1) resolution, and the
+    /// adjustment of the cameras as delivered.
     fn round(&self, shifts: &[[f32; 2]], level: usize, model: BiasModel) -> Result<(Adjustment, Vec<Track>), RpcError> {
         let moved: Vec<SweepView> = self
             .views
@@ -194,20 +196,20 @@ impl AdjustInput<'_> {
     }
 }
 
-/// Weight of a sighting by its correlation. Correlation between dates falls mostly because of shadows, which also shift
-/// matches.
+/// Weight of a sighting by its correlation, 0..1. Correlation between dates falls mostly because of shadows, which also
+/// shift matches.
 fn weight(score: f32) -> f64 {
     f64::from((score - WORTHLESS_SCORE) / (1.0 - WORTHLESS_SCORE))
         .clamp(0.0, 1.0)
         .powi(2)
 }
 
-/// Sightings that fit.
+/// Number of sightings that fit.
 fn agreement(adjustment: &Adjustment) -> usize {
     adjustment.images.iter().map(|image| image.good).sum()
 }
 
-/// The corrections' shifts in the form of the engine.
+/// Shift of each image (columns, rows; pixels) in an adjustment.
 pub fn shifts(adjustment: &Adjustment) -> Vec<[f32; 2]> {
     let shift = |c: &heliosplat_rpc::adjust::Correction| c.shift_px.map(|v| v as f32);
     adjustment.corrections.iter().map(shift).collect()

@@ -1,11 +1,11 @@
 //! Altitude range of a scene that states none, from tie points between its images, coarse to fine.
 //!
 //! Too wide a range costs common ground, precision of the pinhole cameras and time, and lets ground in a single image
-//! match anything; too narrow a one cuts the surface off. Only the rational cameras are known at this stage, so pairs
+//! match anything; too narrow a range cuts the surface off. Only the rational cameras are known at this stage, so pairs
 //! of images are matched along their epipolar lines ([`heliosplat_stereo::pointing::ties::epipolar`]): first over all
 //! heights that the cameras are valid for, on images averaged down to a few hundred pixels, then around the first
-//! result, on finer ones. The range is the span of the matches of all pairs, with a margin. A sweep of all images in
-//! large cells over that range confirms it, or widens it where its surface lies at a limit.
+//! result, on finer ones. The range is the span of the matches of all pairs, with a margin; a coarse sweep of all
+//! images confirms it, or widens it where its surface lies at a limit.
 
 use super::ground::GroundViews;
 use super::limits::AtLimits;
@@ -16,49 +16,50 @@ use heliosplat_scene::{AltitudeSource, Index, IngestOptions, Scene, SceneError};
 use heliosplat_stereo::pointing::ties::epipolar::{EpipolarSearch, ReducedView, TiedAltitudes, tied_altitudes};
 use heliosplat_stereo::{MatchingParameters, Surface, plane_sweep, weight_of_geometry};
 
-/// Most pairs of images that are matched; more do not improve a range.
+/// Largest number of matched pairs; more pairs do not improve a range.
 const MOST_PAIRS: usize = 8;
-/// Partners that each image has.
+/// Number of partners of each image.
 const PARTNERS: usize = 2;
 /// Weight of a pair of two days relative to one of a single day.
 const OTHER_DAY: f64 = 0.5;
-/// Pixels each way to which images are averaged down for the first search: a few hundred patches of their own.
+/// Pixels along each side to which images are averaged down for the first search; they contain a few hundred separate
+/// patches.
 const COARSE_PX: f64 = 320.0;
 /// Largest side of an image in the second search, pixels.
 const FINE_PX: f64 = 2048.0;
-/// Factor by which the second search is finer.
+/// Factor between the resolutions of the first and the second search.
 const FINER: usize = 4;
-/// Corners that are tried in each pair: first, then.
+/// Number of corners tried in each pair: in the first and in the second search.
 const CORNERS: [usize; 2] = [300, 900];
 /// Largest relative pointing error of cameras as delivered, metres on the ground.
 const POINTING_M: f64 = 10.0;
-/// Fewest agreeing tie points of all pairs together for a result.
+/// Least number of agreeing tie points of all pairs together for a result.
 const FEWEST_TIES: usize = 8;
-/// Share of the matches that has to agree with its neighbours: by chance it is far less.
+/// Least share of matches that agree with their neighbours: by chance, the share is far smaller.
 const LEAST_AGREEING: f64 = 0.3;
-/// Share of the tie points that is left out below, and above.
+/// Share of the tie points that is discarded at each end of their altitudes.
 const TAIL: f64 = 0.02;
-/// Margin around the first search's range: metres, share of its span, pixels of parallax.
+/// Margin around the range of the first search: metres, share of its span, pixels of parallax.
 const COARSE_MARGIN: (f64, f64, f64) = (40.0, 0.25, 4.0);
-/// Margin below and above the second search's range, metres: corners lie on roofs and streets, but seldom in a pit or
-/// on a spire.
+/// Margin below and above the range of the second search, metres: corners lie on roofs and streets, but seldom in a pit
+/// or on a spire.
 const MARGIN_M: (f64, f64) = (15.0, 40.0);
 /// Margin of the range, as a share of its span.
 const MARGIN_SHARE: f64 = 0.15;
 
-/// Ground sampling distances of two images that differ by more than this factor are equalised before matching.
+/// Ratio of ground sampling distances above which two images are brought to one resolution before matching.
 const UNLIKE: f64 = 1.5;
 
 /// Width of a cell of the coarse sweep, ground sampling distances.
 const COARSE_CELL_GSD: f64 = 4.0;
-/// Most times that a range is widened.
+/// Largest number of times that a range is widened.
 pub(super) const ROUNDS: usize = 3;
 
-/// Reads a scene. Where neither `options` nor its files state its altitudes, they are estimated from tie points, and
-/// widened where the surface of a coarse sweep touches their limits.
+/// Reads a scene. If neither `options` nor the scene's files state the altitudes, they are estimated from tie points,
+/// and widened where the surface of a coarse sweep touches their limits.
 ///
 /// # Errors
-/// As [`Scene::open`].
+/// Those of [`Scene::open`].
 pub fn open(index: &Index, options: &IngestOptions) -> Result<Scene, SceneError> {
     let mut options = resolve(index, options)?;
     let mut scene = Scene::of(index, &options)?;
@@ -79,8 +80,7 @@ pub fn open(index: &Index, options: &IngestOptions) -> Result<Scene, SceneError>
     Ok(scene)
 }
 
-/// The surface of a scene in large cells, with its cameras as given; `None` where too few images show the common
-/// ground.
+/// Surface of a scene in large cells, with the cameras as given; `None` where too few images show the common ground.
 fn coarse_sweep(scene: &Scene) -> Option<Surface> {
     let ground = GroundViews::new(scene, scene.training()).ok()?;
     let cell_m = COARSE_CELL_GSD * scene.gsd_m;
@@ -90,11 +90,11 @@ fn coarse_sweep(scene: &Scene) -> Option<Surface> {
     Some(plane_sweep(&views, &ground.request(cell_m, matching), &|_| {}))
 }
 
-/// `options` with the estimated altitudes, where neither they nor the scene's files state any and the estimate
-/// succeeds.
+/// `options` with the estimated altitudes; unchanged if `options` or the scene's files state altitudes, or the estimate
+/// fails.
 ///
 /// # Errors
-/// As [`Scene::open`].
+/// Those of [`Scene::open`].
 pub fn resolve(index: &Index, options: &IngestOptions) -> Result<IngestOptions, SceneError> {
     let mut options = options.clone();
     if options.altitude_range_m.is_some() || options.altitude_from_ties_m.is_some() {
@@ -107,8 +107,8 @@ pub fn resolve(index: &Index, options: &IngestOptions) -> Result<IngestOptions, 
     Ok(options)
 }
 
-/// The altitudes of the surface by tie points, with a margin, metres above the ellipsoid; `None` where there are too
-/// few.
+/// Altitudes of the surface from tie points, with a margin, metres above the ellipsoid; `None` where there are too few
+/// ties.
 fn find(cameras: &SceneCameras) -> Result<Option<(f64, f64)>, SceneError> {
     let bound_m = cameras.range.limits_m();
     let mut pairs = pairs(cameras, bound_m)?;
@@ -146,9 +146,9 @@ struct Pair {
     gsd_m: f64,
     /// Ground sampling distance of the second image, metres.
     other_gsd_m: f64,
-    /// Offset of the second image across the epipolar lines, pixels of the first.
+    /// Offset of the second image across the epipolar lines, pixels of the first image.
     across_px: f64,
-    /// Pixels averaged into one at the first search, each way.
+    /// Pixels averaged into one along each axis in the first search.
     factor: usize,
 }
 
@@ -199,16 +199,16 @@ fn pairs(cameras: &SceneCameras, bound_m: (f64, f64)) -> Result<Vec<Pair>, Scene
     Ok(chosen)
 }
 
-/// Span of tie points, metres above the ellipsoid.
+/// Span of the tie points' altitudes, metres above the ellipsoid.
 struct Span {
     low_m: f64,
     high_m: f64,
-    /// Altitude per pixel of parallax, of the pair with the least parallax.
+    /// Altitude per pixel of parallax for the pair with the least parallax, metres.
     step_m: f64,
 }
 
-/// Matches all pairs over a range of altitudes, for the first or the second time, `finer` times finer than usual, and
-/// records the relative pointing of the cameras of each pair.
+/// Matches all pairs over a range of altitudes, in the first or second search (`time` 0 or 1), `finer` times finer than
+/// usual, and stores the relative pointing of each pair.
 fn search(
     cameras: &SceneCameras,
     pairs: &mut [Pair],
@@ -246,15 +246,15 @@ fn search(
     Ok(low_m.zip(high_m).map(|(low_m, high_m)| Span { low_m, high_m, step_m }))
 }
 
-/// Number of pixels averaged into one, each way, for each of two images, so that both have about the resolution of the
-/// coarser one after `factor`; images of like resolution have one factor.
+/// Number of pixels averaged into one along each axis, for each of two images: both then have about the resolution of
+/// the coarser image after `factor`. Images of like resolution have one factor.
 fn factors_alike(factor: usize, gsds_m: [f64; 2]) -> [usize; 2] {
     let coarser_m = gsds_m[0].max(gsds_m[1]);
     let ratio = |gsd_m: f64| coarser_m / gsd_m;
     if ratio(gsds_m[0].min(gsds_m[1])) <= UNLIKE {
         return [factor; 2];
     }
-    // `factor` is meant for the first image.
+    // `factor` refers to the first image.
     let coarser = ((factor as f64 * gsds_m[0] / coarser_m).round() as usize).max(1);
     gsds_m.map(|gsd_m| (coarser as f64 * ratio(gsd_m)).round() as usize)
 }

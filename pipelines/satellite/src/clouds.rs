@@ -5,7 +5,8 @@ use heliosplat::Raster;
 use heliosplat_stereo::PlaneSweepRequest;
 use heliosplat_stereo::clouds::find_clouds;
 
-/// The pixels of each crop of `ground` that show clouds, its cameras moved by `shifts_px`; empty where there are none.
+/// Cloud mask of each crop of `ground`, with the cameras moved by `shifts_px`; a mask is empty where there are no
+/// clouds.
 pub(super) fn find(
     ground: &GroundViews,
     rasters: &[Raster],
@@ -18,7 +19,7 @@ pub(super) fn find(
     masks
 }
 
-/// Logs the clouds of each crop of `ground`, but for the images that are `left_out` whole.
+/// Logs the share of clouds in each crop of `ground`, except for the images that are `left_out` as a whole.
 pub(super) fn log_shares(ground: &GroundViews, masks: &[Vec<bool>], left_out: &[bool]) {
     for (place, (mask, image)) in masks.iter().zip(&ground.images).enumerate() {
         let share = 100.0 * share(mask);
@@ -28,7 +29,7 @@ pub(super) fn log_shares(ground: &GroundViews, masks: &[Vec<bool>], left_out: &[
     }
 }
 
-/// Makes all pixels of the images that are `left_out` unknown, as if clouds covered them.
+/// Marks all pixels of the images that are `left_out` as unknown, as clouds are.
 pub(super) fn leave_out(rasters: &mut [Raster], masks: &mut [Vec<bool>], left_out: &[bool]) {
     let images = rasters.iter_mut().zip(masks).zip(left_out);
     for ((raster, mask), _) in images.filter(|(_, out)| **out) {
@@ -37,12 +38,12 @@ pub(super) fn leave_out(rasters: &mut [Raster], masks: &mut [Vec<bool>], left_ou
     }
 }
 
-/// Share of a mask that shows clouds.
+/// Share of a mask's pixels with clouds, 0..1; 0 for an empty mask.
 pub(super) fn share(mask: &[bool]) -> f64 {
     mask.iter().filter(|&&cloud| cloud).count() as f64 / mask.len().max(1) as f64
 }
 
-/// Makes the pixels of a mask unknown; an empty mask has none.
+/// Marks the pixels of a mask as unknown; an empty mask has none.
 pub(super) fn blank(raster: &mut Raster, mask: &[bool]) {
     for band in 0..raster.bands {
         let values = raster.plane_mut(band).iter_mut().zip(mask);

@@ -1,5 +1,5 @@
-//! The configuration of a satellite run: data, not code. Presets are files, `--set a.b=c` changes one value, and the
-//! resolved configuration is written with every result.
+//! Configuration of a satellite run. Presets are files, `--set a.b=c` changes one value, and the resolved configuration
+//! is written with every result.
 
 use heliosplat::shade::sh::MAX_DEGREE;
 use heliosplat::train::{TrainError, TrainOptions};
@@ -7,16 +7,16 @@ use heliosplat_fitting::settings::{ConfigError, Preset, resolve};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Least and largest width of a cell, ground sampling distances: images resolve nothing finer than the least, and cells
-/// of the largest show no building.
+/// Allowed widths of a cell, ground sampling distances: images resolve nothing finer, and coarser cells show no
+/// building.
 const CELL_GSD: std::ops::RangeInclusive<f64> = 0.25..=100.0;
 
-/// Initial Gaussians on the swept surface. Lengths in cells, which are one ground sampling distance wide.
+/// Options of the initial Gaussians on the swept surface.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StartOptions {
-    /// Width of a cell, ground sampling distances: one Gaussian per cell. 2 where memory or time is limited, 1.5 in the
-    /// ablation.
+    /// Width of a cell, ground sampling distances; each cell gets one Gaussian. 2 where memory or time is limited, 1.5
+    /// in the ablation.
     pub cell_gsd: f64,
 }
 
@@ -30,29 +30,29 @@ impl Default for StartOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Align {
-    /// Estimate; correct when an image is off by more than a tenth of a pixel.
+    /// Estimate, and correct if an image is off by more than a tenth of a pixel.
     Auto,
     /// Estimate and correct.
     On,
-    /// Believe the cameras.
+    /// Use the cameras as delivered.
     Off,
 }
 
-/// Shift, pixels, above which [`Align::Auto`] corrects. The precision of shifts from ties is 0.03 px; below a tenth
-/// they may be noise, and accurate cameras are better left unchanged.
+/// Shift above which [`Align::Auto`] corrects, pixels. Shifts from ties have a precision of 0.03 px; below a tenth they
+/// may be noise, and accurate cameras are better left unchanged.
 pub(super) const THRESHOLD_PX: f32 = 0.1;
 
-/// Correction of the cameras.
+/// Options of the cameras.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraOptions {
-    /// Relative pointing, from tie points and a robust adjustment. `off` where cameras were adjusted already, `on` to
-    /// correct even less than a tenth of a pixel.
+    /// Correction of the relative pointing, from tie points and a robust adjustment: `off` for cameras that were
+    /// adjusted already, `on` for corrections of less than a tenth of a pixel too.
     pub align: Align,
-    /// Corrections that were found before, columns and rows by image name, pixels; where there are any, none are looked for.
+    /// Known corrections, columns and rows by image name, pixels; none are estimated where there are any.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub shifts_px: BTreeMap<String, [f32; 2]>,
-    /// Names of images that ties found before to contradict their cameras, and that are left out.
+    /// Names of images that are left out because known ties contradict their cameras.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<String>,
 }
@@ -67,30 +67,30 @@ impl Default for CameraOptions {
     }
 }
 
-/// The satellite model's components. The plan decides those that are not set.
+/// Components of the satellite model. The plan decides those that are not set.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelOptions {
-    /// Per-image affine colour: on for images of more than one date, off for those of one.
+    /// Affine colour of each image; by default on for images of several dates, off for images of one date.
     pub image_colour: Option<bool>,
-    /// Detection of clouds, which are left out of training: on from five views on; off for images that are known to be
-    /// clear.
+    /// Detection of clouds, which are left out of training; by default on for five and more views. Off for images that
+    /// are known to be clear.
     pub clouds: Option<bool>,
-    /// Search for changed ground (built or torn down): on if every image has a date and a day divides them with two or
-    /// more on either side; off for ground that is known to be unchanged.
+    /// Search for changed ground (built or torn down); by default on if every image has a date and a day divides them
+    /// with two or more on either side. Off for ground that is known to be unchanged.
     pub change: Option<bool>,
-    /// Use of clipped values as lower bounds: on if some values are clipped.
+    /// Clipped values as lower bounds; by default on if some values are clipped.
     pub saturation: Option<bool>,
-    /// Near-surface light in shadows, per Gaussian: off, because no scene measured was better with it
+    /// Near-surface light in shadows, for each Gaussian; by default off, since no measured scene was better with it
     /// (docs/lab/planner.md).
     pub near_light: bool,
-    /// Largest degree of the spherical harmonics of albedo (and near-surface light) in the viewing direction: 0,
-    /// isotropic, for matt ground, up to 3 for glossy ground.
+    /// Largest degree of the spherical harmonics of albedo (and near-surface light) in the viewing direction: 0
+    /// (isotropic, the default) for matt ground, up to 3 for glossy ground.
     pub sh_degree: usize,
-    /// Guidance of training by shadows detected as dark places: on with fewer than eight images, off with more.
+    /// Guidance of training by dark places as hints of shadows; by default on for fewer than eight images.
     pub shadow_prior: Option<bool>,
-    /// Folder of the user's masks of light (1) and shadow (0), `NAME.tif` for the image `NAME`, in place of the
-    /// detected ones.
+    /// Folder of the user's masks of light (1) and shadow (0), `NAME.tif` for the image `NAME`, instead of detected
+    /// shadows.
     pub shadow_masks: Option<PathBuf>,
 }
 
@@ -98,13 +98,13 @@ pub struct ModelOptions {
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SatelliteConfig {
-    /// Training.
+    /// Options of the training.
     pub train: TrainOptions,
-    /// The start.
+    /// Options of the initial Gaussians.
     pub start: StartOptions,
-    /// Cameras.
+    /// Options of the cameras.
     pub cameras: CameraOptions,
-    /// The model.
+    /// Components of the model.
     pub model: ModelOptions,
 }
 
@@ -119,11 +119,11 @@ fn preset_text(preset: Preset) -> &'static str {
 }
 
 impl SatelliteConfig {
-    /// The defaults, then the preset's file, then the `--set` pairs in their order.
+    /// Configuration from the defaults, then the preset's file, then the `--set` pairs in their order.
     ///
     /// # Errors
-    /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for one
-    /// that means nothing.
+    /// [`ConfigError::Set`] for an unknown key or a value of another type, [`ConfigError::Value`] for a value outside
+    /// of its range.
     pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
         let mut config: Self = resolve(preset.name(), preset_text(preset), set)?;
         config.train.seed = seed;
@@ -131,7 +131,7 @@ impl SatelliteConfig {
         Ok(config)
     }
 
-    /// Checks that every value is valid.
+    /// Checks that every value is in its range.
     fn check(&self) -> Result<(), ConfigError> {
         if let Err(TrainError::Option {
             option,

@@ -10,45 +10,45 @@ use heliosplat_raster::RasterError;
 use heliosplat_scene::SceneError;
 use std::path::PathBuf;
 
-/// Reason why a satellite scene did not become a run, or a run could not be measured.
+/// Reason why a satellite scene did not become a run, or why a run could not be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum SatelliteError {
-    /// The scene.
+    /// Error of the scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A setting.
+    /// Error of a setting.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// A scene, a run or a request that cannot be used, with the remedy.
     #[error("{0}")]
     Input(String),
-    /// A result that cannot be written down.
+    /// Result that cannot be written.
     #[error("{0}")]
     Unwritable(String),
-    /// The user stopped it.
+    /// Stopped by the user.
     #[error("stopped: nothing was written")]
     Stopped,
-    /// The course of a training.
+    /// Error of the training.
     #[error(transparent)]
     Training(#[from] TrainingError),
-    /// The run's folder, its checkpoint, or a file in it.
+    /// Error of the run's folder, its checkpoint, or a file in it.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A raster.
+    /// Error of a raster.
     #[error(transparent)]
     Raster(#[from] RasterError),
-    /// The evaluation.
+    /// Error of the evaluation.
     #[error(transparent)]
     Evaluate(#[from] EvaluateError),
-    /// A sun that the model cannot be put under.
+    /// Error of relighting: the model cannot be rendered under the sun.
     #[error(transparent)]
     Relight(#[from] RelightError),
-    /// The scene that a run was trained on.
+    /// Error of the scene that a run was trained on.
     #[error("{}: the scene of the run: {error}", run.display())]
     SceneOfRun {
-        /// The run.
+        /// Folder of the run.
         run: PathBuf,
-        /// The fault of its scene.
+        /// Error of its scene.
         error: SceneError,
     },
 }
@@ -60,7 +60,7 @@ impl From<TrainError> for SatelliteError {
 }
 
 impl SatelliteError {
-    /// Fewer than two images show the common ground.
+    /// Error for a ground that fewer than two images show; `images` is their number.
     pub(crate) fn too_few_views(images: usize) -> Self {
         Self::Input(format!(
             "{images} of the scene's images show the ground that at least two have in common; two are needed"

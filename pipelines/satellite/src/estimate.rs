@@ -1,7 +1,7 @@
-//! Memory of a training, estimated before it begins.
+//! Memory of a training, estimated before it starts.
 //!
-//! The constants were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians); `metrics.json` has the
-//! estimate and the memory used.
+//! The constants were fitted to runs on `block` and a town (0.17 to 0.62 million Gaussians); `metrics.json` contains
+//! the estimate and the memory used.
 
 use super::config::{ModelOptions, SatelliteConfig};
 use super::error::SatelliteError;
@@ -15,46 +15,47 @@ use heliosplat_stereo::height_levels;
 
 pub use super::sweep_memory::PROGRAM_BYTES;
 
-/// Gaussians per cell of the ground grid: walls and uncertain ground add to one each (1.3 to 2.3 were measured).
+/// Gaussians per cell of the ground grid: walls and uncertain ground add to one per cell (1.3 to 2.3 were measured).
 const GAUSSIANS_PER_CELL: f64 = 1.8;
-/// Tables of all parameters that training holds: values, gradients, two moments, the best state.
+/// Number of tables of all parameters in a training: values, gradients, two moments, the best state.
 const TABLES: f64 = 5.0;
-/// Additional bytes per Gaussian in one step: splats, lists of tiles, gradients, ellipses on the plane of the sun,
+/// Further bytes per Gaussian in one step: splats, lists of tiles, gradients, ellipses on the plane of the sun,
 /// neighbours.
 const STEP_BYTES_PER_GAUSSIAN: f64 = 580.0;
-/// Free memory that the allocator keeps, bytes.
+/// Free memory kept by the allocator, bytes.
 const SPARE_BYTES: f64 = 64.0 * 1_048_576.0;
-/// Planes of 32-bit numbers per pixel of the largest view that one step makes, besides those per channel.
+/// Planes of 32-bit numbers per step, the size of the largest view, besides those per channel.
 const PLANES: f64 = 24.0;
-/// Planes of a view per channel.
+/// Further planes per channel.
 const PLANES_PER_CHANNEL: f64 = 4.0;
 
 /// Estimated size and memory of a training.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Estimate {
-    /// Gaussians at the start.
+    /// Number of Gaussians at the start.
     pub gaussians: f64,
-    /// Most memory, bytes.
+    /// Peak memory, bytes.
     pub peak_bytes: f64,
     /// Peak memory with one Gaussian per cell, bytes.
     pub least_bytes: f64,
-    /// Steps.
+    /// Number of training steps.
     pub steps: usize,
 }
 
-/// Bytes that the process uses when its scene is open: itself and the images. The memory reported by the system is no
+/// Memory of the process with an open scene, bytes: the program and the images. The memory reported by the system is no
 /// measure, since allocators keep freed memory.
 pub fn held_bytes(scene: &Scene) -> f64 {
     let values: usize = scene.images.iter().map(|image| image.pixels.values.len()).sum();
     PROGRAM_BYTES + 4.0 * values as f64
 }
 
-/// Bytes of the copies of `pixels` that are swept and trained on, the latter with weights.
+/// Memory of two copies of `pixels`, bytes: one is swept, the other is trained on and has weights.
 pub fn copies_bytes(pixels: f64, bands: usize) -> f64 {
     4.0 * pixels * (2.0 * bands as f64 + 1.0)
 }
 
-/// Bytes that training adds to those in use when it begins: `gaussians` at most, `pixels` of the largest view.
+/// Memory that training adds, bytes, with at most `gaussians` Gaussians, `views` views of `bands` bands, and `pixels`
+/// pixels of the largest view.
 pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -> f64 {
     let width = 11.0 + bands as f64;
     let per_gaussian = TABLES * 4.0 * width + 4.0 * views as f64 + STEP_BYTES_PER_GAUSSIAN;
@@ -62,31 +63,31 @@ pub fn training_bytes(gaussians: f64, views: usize, bands: usize, pixels: f64) -
     SPARE_BYTES + gaussians * per_gaussian + pixels * planes * 4.0
 }
 
-/// Bytes per Gaussian of the options of `model` besides one albedo per band: near-surface light, and harmonics of both.
+/// Bytes per Gaussian for the options of `model` beyond one albedo per band: near-surface light, and harmonics of both.
 pub fn light_bytes(model: &ModelOptions, bands: usize) -> f64 {
     let parts = if model.near_light { 2 } else { 1 };
     TABLES * 4.0 * ((parts * functions(model.sh_degree) - 1) * bands) as f64
 }
 
-/// The most Gaussians within `limit` bytes, where `bytes` gives the memory of a number of them, linear in it.
+/// Largest number of Gaussians within `limit` bytes; `bytes` returns the memory for a number of them, and is linear.
 pub fn gaussians_within(limit: f64, bytes: impl Fn(f64) -> f64) -> f64 {
     let fixed = bytes(0.0);
     let each = bytes(1.0) - fixed;
     ((limit - fixed) / each).max(0.0)
 }
 
-/// Quantities that determine the memory of a training, besides its configuration.
+/// Quantities of the memory of a training, besides its configuration.
 #[derive(Debug, Clone, Copy)]
 pub struct Extent {
-    /// The ground, metres.
+    /// Ground, metres.
     pub area: Area,
     /// Ground sampling distance, metres.
     pub gsd_m: f64,
-    /// Bands of every image.
+    /// Number of bands of every image.
     pub bands: usize,
-    /// Images that are trained on.
+    /// Number of training images.
     pub training: usize,
-    /// Metres from the lowest to the highest altitude that is searched.
+    /// Difference between the highest and the lowest searched altitude, metres.
     pub altitudes_m: f64,
     /// Largest base-to-height ratio of two images.
     pub widest_base_to_height: f64,
@@ -123,18 +124,18 @@ impl From<&Survey<'_>> for Extent {
 /// Refuses a scene whose training will not fit into `limit` bytes, before its pixels are read.
 ///
 /// # Errors
-/// Where it does not fit.
+/// `SatelliteError::Input` where it does not fit.
 pub fn must_fit_unread(survey: &Survey, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), SatelliteError> {
     let held = PROGRAM_BYTES + 4.0 * survey.bands as f64 * survey.pixels();
     must_fit(estimate_of(&survey.into(), config, held).least_bytes, limit, config)
 }
 
-/// Memory of training `scene`, whose images are in memory already.
+/// Estimate for the training of `scene`, whose images are in memory already.
 pub fn estimate(scene: &Scene, config: &SatelliteConfig) -> Estimate {
     estimate_of(&scene.into(), config, held_bytes(scene))
 }
 
-/// Estimate for any ground, in a process that holds `held` bytes, images included, when training begins.
+/// Estimate for any ground; `held` is the memory of the process at the start of training, images included, bytes.
 pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, held: f64) -> Estimate {
     let &Extent {
         gsd_m,
@@ -164,7 +165,7 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, held: f64) -> Esti
     }
 }
 
-/// Memory of the sweep of a tile, without training.
+/// Estimate for the sweep of a tile, without training.
 pub fn sweep_estimate(survey: &Survey, tile: &TileSurvey, config: &SatelliteConfig) -> Estimate {
     let area = crop::grown(&tile.area, ground::MARGIN_M);
     let cell_m = config.start.cell_gsd * survey.gsd_m;
@@ -183,10 +184,10 @@ pub fn sweep_estimate(survey: &Survey, tile: &TileSurvey, config: &SatelliteConf
     }
 }
 
-/// Refuses a scene that will not fit into `limit` bytes, with a remedy.
+/// Refuses a scene that needs `needed` bytes within `limit` bytes, with a remedy; `None` is no limit.
 ///
 /// # Errors
-/// When `needed` is more.
+/// `SatelliteError::Input` when `needed` exceeds `limit`.
 pub fn must_fit(needed: f64, limit: Option<u64>, config: &SatelliteConfig) -> Result<(), SatelliteError> {
     let gib = |bytes: f64| bytes / f64::from(1 << 30);
     match limit.map(|bytes| bytes as f64) {

@@ -24,56 +24,56 @@ use heliosplat_scene::{Area, ImageSun, KnownTiles, Scene};
 use heliosplat_session::Session;
 use std::time::Instant;
 
-/// Short fits that are made for the sake of suns, at most: each finds fewer than the one before.
+/// Largest number of short fits for the estimate of suns: each finds fewer suns than the one before.
 const MOST_SHORT_FITS: usize = 3;
-/// Share of a limit of time after which no short fit is begun.
+/// Share of a time limit after which no short fit is started.
 const BUDGET_FOR_SUNS: f64 = 0.3;
 
-/// A fit to be made.
+/// Request for a fit.
 #[derive(Clone, Copy)]
 pub struct FitRequest<'a> {
-    /// The scene.
+    /// Scene to fit.
     pub scene: &'a Scene,
-    /// The configuration.
+    /// Configuration of the run.
     pub config: &'a SatelliteConfig,
-    /// The plan.
+    /// Plan of the scene.
     pub decisions: &'a Decisions,
-    /// Time that the run may take.
+    /// Time limit of the run; `None` for no limit.
     pub budget: Option<Budget>,
-    /// Memory that the process may take, bytes.
+    /// Memory limit of the process, bytes; `None` for no limit.
     pub memory: Option<u64>,
-    /// The terminal.
+    /// Terminal of the user: progress and interruption.
     pub session: &'a Session,
 }
 
-/// A trained model and how it came about.
+/// A trained model, with the data of its training.
 pub struct Fitted {
     /// The model.
     pub model: ShadowGs,
-    /// Its parameters and the course of training; its views are dropped.
+    /// Parameters of the model and course of training, without the views.
     pub trained: Trained,
-    /// The surface that training started from, and everything found before training.
+    /// Initial surface, and all other results before training.
     pub found: Preprocessed,
-    /// The plan, after suns were searched.
+    /// Plan after the search for suns.
     pub decisions: Decisions,
-    /// The suns of the scene's images, in the scene's order.
+    /// Sun of each image of the scene.
     pub suns: Vec<ImageSun>,
-    /// Names of the images trained on, in the order of their colours.
+    /// Names of the training images, in the order of their colours.
     pub images: Vec<String>,
-    /// Tiles with data and without clouds of each of these; `None`: everywhere.
+    /// Tiles with data and without clouds, for each training image; `None` where that is the whole image.
     pub known: Vec<Option<KnownTiles>>,
-    /// Brightness of the ground under any sun; `None` without light.
+    /// Brightness of the ground under any sun; `None` for a model without light.
     pub daylight: Option<Daylight>,
-    /// The most memory that training was expected to take when it began, bytes.
+    /// Largest memory of training as estimated at its start, bytes.
     pub memory_estimate: f64,
-    /// Seconds of the start and of training.
+    /// Seconds of the start, and of training.
     pub seconds: [f64; 2],
 }
 
 /// A model before its first step.
 struct Start {
     initial: InitialState,
-    /// The suns of the images trained on.
+    /// Suns of the training images.
     suns: Vec<ImageSun>,
     decisions: Decisions,
     options: TrainOptions,
@@ -81,13 +81,13 @@ struct Start {
     memory_estimate: f64,
 }
 
-/// The colours that training starts from, as far as the end of a fit needs them.
+/// Initial colours, as far as the end of a fit needs them.
 struct Colours {
     shades: Shades,
     one_light: Option<OneLight>,
 }
 
-/// A nadir camera over an area of the scene frame.
+/// Nadir camera over an area of the scene's frame, with pixels of `gsd_m` metres.
 pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
     let size = |length: f64| ((length / gsd_m).round() as usize).max(1);
     let size = (size(area.east_m - area.west_m), size(area.north_m - area.south_m));
@@ -95,7 +95,7 @@ pub fn nadir_camera(area: &Area, gsd_m: f64) -> ProjectiveCamera {
 }
 
 impl FitRequest<'_> {
-    /// Fits a model, or continues from the `checkpoint` of an interrupted fit; `checkpoints` writes its state.
+    /// Fits a model, or continues an interrupted fit from its `checkpoint`; `checkpoints` writes the state.
     ///
     /// # Errors
     /// [`SatelliteError`] when too few images show the common ground, training fails, or the state cannot be written or
@@ -133,7 +133,7 @@ impl FitRequest<'_> {
         })
     }
 
-    /// Checks that near-surface light, visibility and a normal can be rendered along with the bands.
+    /// Checks that the engine can render near-surface light, visibility and a normal along with the bands.
     fn check_channels(&self) -> Result<(), SatelliteError> {
         let bands = self.scene.bands().len();
         match self.decisions.near_light && 2 * bands + 1 + 3 > MOST_CHANNELS {
@@ -144,7 +144,7 @@ impl FitRequest<'_> {
         }
     }
 
-    /// The swept surface and the suns estimated from its shadows: the `kept` ones, if they are of this scene.
+    /// Swept surface, and suns estimated from its shadows: the `kept` results, if they are of this scene.
     fn prepare(&self, kept: Option<Preprocessed>) -> Result<Preprocess<'_>, SatelliteError> {
         let &Self {
             scene,
@@ -177,13 +177,13 @@ impl FitRequest<'_> {
         Ok(swept)
     }
 
-    /// Sweeps again where suns estimated from shadows group the images into passes. Returns whether they do.
+    /// Sweeps again if the suns estimated from shadows group the images into other passes. Returns true after a sweep.
     fn sweep_under_found_suns(&self, swept: &mut Preprocess) -> bool {
         let suns = suns::of_ground(self.scene, &swept.ground, &swept.found.shadow_suns);
         swept.sweep_under(suns, self.scene, self.config, self.decisions, self.session)
     }
 
-    /// Gaussians on the swept surface, under the suns that are known now.
+    /// Gaussians on the swept surface, under the suns that are known so far.
     fn begin(&self, swept: &Preprocess) -> Result<Start, SatelliteError> {
         let _part = stage("start");
         let &Self { scene, config, .. } = self;
@@ -221,7 +221,7 @@ impl FitRequest<'_> {
         })
     }
 
-    /// Gives Gaussians their albedo, and images their colours.
+    /// Initialises the albedo of the Gaussians and the colours of the images.
     fn colour(&self, start: &mut Start) -> Colours {
         let _part = stage("colours");
         let InitialState {
@@ -239,7 +239,7 @@ impl FitRequest<'_> {
         Colours { shades, one_light }
     }
 
-    /// Trains to the end, or until the user or the time stops it.
+    /// Trains to the end, or until the user or the time limit stops it.
     fn train(
         &self,
         swept: &Preprocess,
@@ -272,7 +272,7 @@ impl FitRequest<'_> {
         Ok(train(trainer, steps, session, budget, checkpoints, probe.as_deref())?)
     }
 
-    /// Solves the albedo once more, and finds the brightness of the ground under any sun.
+    /// Solves the albedo again, and fits the brightness of the ground under any sun.
     fn finish(&self, start: &Start, colours: &Colours, trained: &mut Trained) -> Option<Daylight> {
         let model = &start.initial.model;
         let views = std::mem::take(&mut trained.views);

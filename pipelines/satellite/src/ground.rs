@@ -1,4 +1,4 @@
-//! The ground that a scene's images have in common, for the plane sweep and for tie points.
+//! The common ground of a scene's images, for the plane sweep and for tie points.
 
 use super::error::SatelliteError;
 use heliosplat::Raster;
@@ -12,39 +12,39 @@ use heliosplat_stereo::{
     MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, SweepView, ViewGeometry, Widest, widest_base,
 };
 
-/// Ground added around the area, metres: shadows fall into it, and ties near the edge have a surface.
+/// Margin of the ground around the area, metres: shadows fall into it, and ties near the edge have a surface.
 pub const MARGIN_M: f64 = 4.0;
 
-/// A piece of ground and the images that show it.
+/// Ground and the images that show it.
 pub struct GroundViews<'a> {
-    /// The images.
+    /// Images that show the ground.
     pub images: Vec<&'a SceneImage>,
-    /// Part of each image that shows the ground.
+    /// Crop of each image that shows the ground.
     pub crops: Vec<Crop>,
-    /// The ground, metres of the scene's frame.
+    /// Ground, metres of the scene's frame.
     pub area: Area,
     /// Lowest and highest altitude, metres of the scene's frame.
     pub up_m: (f64, f64),
-    /// The scene's frame.
+    /// Frame of the scene.
     pub frame: &'a LocalFrame,
-    /// The sun of each image.
+    /// Sun of each image.
     suns: Vec<ImageSun>,
     groups: Vec<u32>,
 }
 
 impl<'a> GroundViews<'a> {
-    /// The ground of `scene`, grown by [`MARGIN_M`], in those of `images` that show it.
+    /// Ground of `scene`, grown by [`MARGIN_M`], and those of `images` that show it.
     ///
     /// # Errors
-    /// When fewer than two do, or these look from one place.
+    /// When fewer than two images show the ground, or all of them look from one place.
     pub fn new(scene: &'a Scene, images: impl Iterator<Item = &'a SceneImage>) -> Result<Self, SatelliteError> {
         Self::over(scene, crop::grown(&scene.area, MARGIN_M), images)
     }
 
-    /// `area`, metres of the scene's frame, in those of `images` that show it.
+    /// Ground `area` (metres of the scene's frame), and those of `images` that show it.
     ///
     /// # Errors
-    /// As [`Self::new`].
+    /// When fewer than two images show the ground, or all of them look from one place.
     pub fn over(
         scene: &'a Scene,
         area: Area,
@@ -84,7 +84,7 @@ impl<'a> GroundViews<'a> {
         )))
     }
 
-    /// Replaces the suns by others, one for each image; returns whether they group more images into passes.
+    /// Replaces the suns, one for each image; returns true if they group the images into other passes.
     pub(super) fn take_suns(&mut self, suns: Vec<ImageSun>) -> bool {
         let times = self.images.iter().map(|image| image.time);
         let lights: Vec<_> = times.zip(suns.iter().map(|sun| sun.position)).collect();
@@ -93,27 +93,27 @@ impl<'a> GroundViews<'a> {
         groups != self.groups
     }
 
-    /// The day of each image, days since 1970; `None` where one has none.
+    /// Day of each image, in days since 1970; `None` where an image has no time.
     pub(super) fn days(&self) -> Option<Vec<i32>> {
         self.images.iter().map(|image| image.time.map(day_of)).collect()
     }
 
-    /// The pixels of the crops.
+    /// Pixels of each crop.
     pub fn rasters(&self) -> Vec<Raster> {
         let crops = self.images.iter().zip(&self.crops);
         crops.map(|(image, crop)| crop.cut(&image.pixels)).collect()
     }
 
-    /// Pixels of each crop.
+    /// Number of pixels of each crop.
     pub(super) fn pixels(&self) -> Vec<usize> {
         self.crops.iter().map(|crop| crop.width * crop.height).collect()
     }
 
     /// Refuses an image whose crop has no contrast: nearly all of its pixels have one value in every band. Crops
-    /// without any known pixel pass, since they are known to be empty.
+    /// without any known pixel are accepted.
     ///
     /// # Errors
-    /// For the first such image.
+    /// `SatelliteError::Input` for the first such image.
     pub(super) fn check_contrast(&self, rasters: &[Raster]) -> Result<(), SatelliteError> {
         let flat = self.images.iter().zip(rasters).find(|(_, raster)| is_flat(raster));
         flat.map_or(Ok(()), |(image, _)| {
@@ -124,7 +124,7 @@ impl<'a> GroundViews<'a> {
         })
     }
 
-    /// Viewing geometries and suns of the crops, their cameras moved by `shifts` (columns, rows), pixels.
+    /// Viewing geometries and suns of the crops, with the cameras moved by `shifts` (columns, rows; pixels).
     fn geometries(&self, shifts: &[[f32; 2]]) -> Vec<ViewGeometry> {
         (0..self.images.len())
             .map(|i| ViewGeometry {
@@ -135,7 +135,7 @@ impl<'a> GroundViews<'a> {
             .collect()
     }
 
-    /// The crops with their pixels and their cameras moved by `shifts` (columns, rows), pixels.
+    /// Views of the crops with their pixels, and with the cameras moved by `shifts` (columns, rows; pixels).
     pub fn sweep_views<'r>(&self, rasters: &'r [Raster], shifts: &[[f32; 2]]) -> Vec<SweepView<'r>> {
         let geometries = self.geometries(shifts).into_iter().zip(rasters);
         geometries
@@ -149,8 +149,8 @@ impl<'a> GroundViews<'a> {
             .collect()
     }
 
-    /// A vegetation index of each crop, where the images have the bands: it separates leaves from pavement of the same
-    /// brightness, and hardly depends on shadows.
+    /// Vegetation index of each crop; `None` where an image lacks the bands. It separates leaves from pavement of the
+    /// same brightness, and hardly depends on shadows.
     pub fn vegetation_indices(&self, rasters: &[Raster]) -> Option<Vec<Raster>> {
         let index = |(image, raster): (&&SceneImage, &Raster)| {
             let index = image.vegetation_index()?;
@@ -172,22 +172,22 @@ impl<'a> GroundViews<'a> {
         volume(&self.area, self.up_m, cell_m)
     }
 
-    /// Input of the choice of the matching parameters, with cells of `cell_m` metres. It takes no pixels, and the
-    /// cameras as given: pointing corrections do not change viewing directions.
+    /// Input for the choice of the matching parameters, with cells of `cell_m` metres, from the cameras as delivered:
+    /// pointing corrections do not change viewing directions.
     pub fn matching_facts(&self, cell_m: f64) -> MatchingFacts {
         let shifts = vec![[0.0; 2]; self.images.len()];
         let has_index = self.images.iter().all(|image| image.vegetation_index().is_some());
         MatchingFacts::new(&self.geometries(&shifts), &self.volume(cell_m), has_index)
     }
 
-    /// Largest base-to-height ratio of two of its images.
+    /// Largest base-to-height ratio of two of the images.
     pub fn widest_base_to_height(&self) -> f64 {
         let shifts = vec![[0.0; 2]; self.images.len()];
         let centre = volume(&self.area, self.up_m, 1.0).centre();
         widest_base(&self.geometries(&shifts), centre).base_to_height.into()
     }
 
-    /// A plane sweep with cells of `cell_m` metres.
+    /// Request for a plane sweep with cells of `cell_m` metres.
     pub fn request(&self, cell_m: f64, parameters: MatchingParameters) -> PlaneSweepRequest {
         let volume = self.volume(cell_m);
         PlaneSweepRequest {
@@ -198,7 +198,7 @@ impl<'a> GroundViews<'a> {
     }
 }
 
-/// `area` between two altitudes (metres), its edges on multiples of `cell_m`.
+/// Search volume over `area` between two altitudes (metres of the scene's frame), with edges on multiples of `cell_m`.
 pub(super) fn volume(area: &Area, up_m: (f64, f64), cell_m: f64) -> SearchVolume {
     let snapped = |v: f64| (v / cell_m).round() * cell_m;
     SearchVolume {
@@ -212,9 +212,9 @@ pub(super) fn volume(area: &Area, up_m: (f64, f64), cell_m: f64) -> SearchVolume
     }
 }
 
-/// Share of an image's pixels at each end of their values that do not count as contrast.
+/// Share of an image's pixels at each end of their values that does not count as contrast.
 const TAIL: f64 = 0.01;
-/// Approximate number of pixels that sample the contrast of an image.
+/// Approximate number of pixels sampled for the contrast of an image.
 const CONTRAST_PIXELS: usize = 1 << 16;
 
 /// True if nearly all known pixels have one value, in every band.

@@ -14,26 +14,26 @@ use heliosplat_stereo::Surface;
 use heliosplat_stereo::change::Changes;
 use std::collections::BTreeSet;
 
-/// Standard deviation of a disc in the surface, cells: neighbours overlap so that no light passes between them.
+/// Standard deviation of a disc along the surface, cells: neighbours overlap so that no light passes between them.
 const SPREAD_CELLS: f32 = 0.65;
-/// Standard deviation across the surface, cells: flat, but thick enough to be seen from the side.
+/// Standard deviation of a disc across the surface, cells: flat, but thick enough to be visible from the side.
 const THICKNESS_CELLS: f32 = 0.2;
-/// Opacity of certain surfaces; above it opacity is saturated and has no gradients.
+/// Opacity of certain surfaces; higher opacities are saturated and have no gradients.
 const OPACITY_SURE: f32 = 0.99;
-/// Steps lower than this get no wall, metres: cars and hedges, or noise.
+/// Least height of a step with a wall, metres: lower steps are cars, hedges or noise.
 const WALL_FROM_M: f32 = 2.0;
 /// Vertical distance between the discs of a wall, cells; they are stretched to meet.
 const WALL_PITCH_CELLS: f32 = 2.0;
-/// Slopes beyond this are steps, not slopes: the disc stays level there.
+/// Slope above which a disc stays level: the surface has a step there.
 const STEEPEST: f32 = 1.5;
-/// A step of fewer height steps of the plane sweep than this is noise and no wall.
+/// Least height of a step with a wall, height steps of the plane sweep: lower steps are noise.
 const WALL_FROM_STEPS: f32 = 3.0;
-/// Cells around a cell whose lowest is the floor beneath it: near a step, and where the sweep was uncertain.
+/// Radius of the neighbourhood whose lowest cell is the floor, cells: near a step, and where the sweep was uncertain.
 const FLOOR_CELLS: (usize, usize) = (4, 9);
-/// Confidence below which the sweep was in doubt.
+/// Confidence below which the sweep counts as uncertain.
 const DOUBT: f32 = 0.1;
-/// Share of the opacity at steps for a roof or crown where the sweep was uncertain, or preferred the ground to it. Such
-/// a place is mostly ground (docs/lab/start.md).
+/// Factor of the opacity at steps for a roof or crown where the sweep was uncertain or preferred the ground. Such a
+/// place is mostly ground (docs/lab/start.md).
 const DOUBTFUL_SHARE: f32 = 0.25;
 
 /// Positions and orientations of the discs.
@@ -45,7 +45,7 @@ struct Discs {
     opacity: Vec<f32>,
 }
 
-/// One disc: its normal is the rotated z axis; its extents along the rotated x and y axes are in cells.
+/// A disc: its normal is the rotated z axis; extents along the rotated x and y axes are in cells.
 struct Disc {
     centre: Vec3,
     rotation: Quat,
@@ -63,7 +63,7 @@ impl Discs {
         self.opacity.push(logit(disc.opacity));
     }
 
-    /// The wall under a cell that stands `step.drop_m` above its lowest neighbour.
+    /// Adds the wall under a cell that stands `step.drop_m` above its lowest neighbour.
     fn add_wall(&mut self, top: Vec3, step: &Step, opacity: f32) {
         let pitch = WALL_PITCH_CELLS * self.cell_m;
         let height = (step.drop_m - self.cell_m).max(self.cell_m);
@@ -80,7 +80,7 @@ impl Discs {
     }
 }
 
-/// The rotation that brings z to a horizontal direction and y to the vertical.
+/// Rotation of z to a horizontal direction and of y to the vertical.
 fn upright(outward: Vec3) -> Quat {
     Quat::from_mat3(&Mat3::from_cols(Vec3::Z.cross(outward), Vec3::Z, outward))
 }
@@ -89,7 +89,7 @@ fn upright(outward: Vec3) -> Quat {
 struct Step {
     /// Height of the cell above its lowest side neighbour, metres.
     drop_m: f32,
-    /// The horizontal direction down the step.
+    /// Horizontal unit vector down the step.
     outward: Vec3,
 }
 
@@ -113,7 +113,7 @@ fn step_at(surface: &Surface, col: usize, row: usize) -> Option<Step> {
     Some(Step { drop_m, outward })
 }
 
-/// The level or inclined rotation of a cell's disc.
+/// Rotation of a cell's disc: inclined as the surface, or level on steep slopes.
 fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
     let (east, north) = surface.slope(col, row);
     if east.abs().max(north.abs()) > STEEPEST {
@@ -122,15 +122,15 @@ fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
     Quat::from_rotation_arc(Vec3::Z, Vec3::new(-east, -north, 1.0).normalize())
 }
 
-/// Opacity of Gaussians near a step, above ground that is laid under them: training decides which of the two is real
+/// Opacity of Gaussians near a step above ground that is laid under them; training decides which of the two is real
 /// (docs/lab/start.md).
 const STEP_OPACITY: f32 = 0.35;
 
 /// Input of the initial Gaussians.
 pub(super) struct Start<'a> {
-    /// The initial surface.
+    /// Initial surface.
     pub(super) surface: &'a Surface,
-    /// The cells that get discs.
+    /// True for the cells that get discs.
     pub(super) covered: &'a [bool],
 }
 
@@ -155,7 +155,7 @@ impl Start<'_> {
         table
     }
 
-    /// The discs of the covered cells, with their walls and floors.
+    /// Adds the discs of the covered cells, with their walls and floors.
     fn on_surface(&self, discs: &mut Discs) {
         let &Self { surface, covered } = self;
         let wall_from_m = WALL_FROM_M.max(WALL_FROM_STEPS * surface.resolution_m);
@@ -180,7 +180,7 @@ impl Start<'_> {
             discs.add(&top);
             let above_m = surface.above[cell];
             if above_m - here.z > wall_from_m {
-                // Ground preferred to a match is uncertain, so training decides between the two.
+                // Ground that was preferred to a match is uncertain, so training decides between the two.
                 discs.add(&Disc {
                     centre: Vec3::new(here.x, here.y, above_m),
                     rotation: Quat::IDENTITY,
@@ -203,9 +203,9 @@ impl Start<'_> {
     }
 }
 
-/// The Gaussians of a surface that changed: where nothing did those of the surface, which is that of the last day;
-/// elsewhere those of the surface before until the day of the change, and those of the last from then on. `groups` end
-/// with the days.
+/// Gaussians of a surface that changed. Unchanged cells get the Gaussians of the surface, which is that of the last
+/// day. Changed cells get those of the earlier surface until the day of the change, and those of the surface from then
+/// on. `groups` end with the days.
 pub(super) fn changing(start: &Start, changes: &Changes, groups: &[GroupSpec]) -> Table {
     let &Start { surface, covered, .. } = start;
     let before = Surface {
@@ -242,10 +242,11 @@ pub(super) fn changing(start: &Start, changes: &Changes, groups: &[GroupSpec]) -
     all
 }
 
-/// Cells around a segment whose Gaussians get its days too, for its walls and the ground under its eaves.
+/// Radius around a segment within which Gaussians get the segment's days, cells: for its walls and the ground under its
+/// eaves.
 const AROUND_CELLS: usize = 2;
 
-/// The day of the change of each cell in or near a segment.
+/// Day of the change for each cell in or near a segment; `None` elsewhere.
 fn around_changes(surface: &Surface, changes: &Changes) -> Vec<Option<i32>> {
     let (width, height) = (surface.width, surface.height);
     let mut near = vec![None; width * height];
@@ -260,7 +261,7 @@ fn around_changes(surface: &Surface, changes: &Changes) -> Vec<Option<i32>> {
             }
         }
     }
-    // In a segment its own day counts, whatever other segments are near.
+    // In a segment the segment's day counts, whatever other segments are near.
     for (cell, of) in near.iter_mut().enumerate() {
         if let Some(segment) = changes.at(cell) {
             *of = Some(segment.day);
@@ -269,7 +270,7 @@ fn around_changes(surface: &Surface, changes: &Changes) -> Vec<Option<i32>> {
     near
 }
 
-/// The elements of two tables of the same groups.
+/// Joins the elements of two tables with equal groups.
 fn joined(a: Table, b: Table) -> Table {
     let groups = a.groups.into_iter().zip(b.groups).map(|(a, b)| Group {
         spec: a.spec,

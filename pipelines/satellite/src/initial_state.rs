@@ -17,27 +17,30 @@ use heliosplat_radiometry::shadow_prior;
 use heliosplat_scene::{ImageSun, Scene, crop};
 use heliosplat_stereo::Surface;
 
-/// Sky light at the start, as a share of the sun's: that of a clear day; training finds each image's own.
+/// Sky light at the start, as a share of the sun's light: that of a clear day; training fits it for each image.
 pub(super) const SKY: f32 = 0.3;
-/// Weight of the shadow prior, where it is on.
+/// Weight of the shadow prior, if it is on.
 const PRIOR_WEIGHT: f32 = 1.0;
-/// Steps from which on learning rates are their own (docs/lab/start.md).
+/// Number of steps below which a training raises its learning rates (docs/lab/start.md).
 const OWN_RATE_STEPS: usize = 1600;
-/// Weight of the smoothness of the albedo (docs/lab/start.md).
+/// Weight of the albedo's smoothness (docs/lab/start.md).
 const SMOOTHNESS_WEIGHT: f32 = 0.1;
 
-/// A model before its first step.
+/// Model before its first step.
 pub(super) struct InitialState {
+    /// Options and parameters of the model.
     pub(super) model: ShadowGs,
+    /// Parameters of the model, with its Gaussians.
     pub(super) parameters: Parameters,
+    /// Views of the training images.
     pub(super) views: Vec<View>,
 }
 
 impl InitialState {
-    /// The initial state for the images of `ground` under `suns`, on the surface `found`.
+    /// Initial state for the images of `ground` under `suns`, on the surface in `found`.
     ///
     /// # Errors
-    /// [`SatelliteError`] when a user's shadow mask cannot be read.
+    /// [`SatelliteError`] when a shadow mask of the user cannot be read.
     pub(super) fn new(
         ground: &GroundViews,
         found: &Preprocessed,
@@ -80,12 +83,12 @@ impl InitialState {
     }
 }
 
-/// Leaves out the views under unknown suns, whose shadows would become dark ground.
+/// Removes the views under unknown suns, whose shadows would become dark ground.
 pub(super) fn keep_known_suns(views: &mut Vec<View>) {
     views.retain(|view| view.light.is_some());
 }
 
-/// Training options of a model with `views` views of `scene`.
+/// Training options for a model with `views` views of `scene`.
 pub(super) fn train_options(config: &SatelliteConfig, scene: &Scene, views: usize) -> TrainOptions {
     TrainOptions {
         gsd_m: scene.gsd_m as f32,
@@ -95,8 +98,8 @@ pub(super) fn train_options(config: &SatelliteConfig, scene: &Scene, views: usiz
     }
 }
 
-/// The image whose colour is the model's: the one under the highest sun, with the least ground in shadow; without any
-/// sun the first.
+/// Index of the reference image, whose colour is the model's: the image under the highest sun, with the least ground in
+/// shadow; the first image if no sun is known.
 fn reference(suns: &[ImageSun]) -> usize {
     let elevation = |i: usize| suns[i].position.map_or(f64::NEG_INFINITY, |sun| sun.elevation_rad);
     (0..suns.len())
@@ -104,7 +107,7 @@ fn reference(suns: &[ImageSun]) -> usize {
         .unwrap_or(0)
 }
 
-/// The model of the images of `ground`.
+/// Model for the images of `ground`.
 fn model(ground: &GroundViews, suns: &[ImageSun], decisions: &Decisions, changing: bool) -> ShadowGs {
     let images = ground.images.len();
     let days = ground
@@ -124,7 +127,7 @@ fn model(ground: &GroundViews, suns: &[ImageSun], decisions: &Decisions, changin
     ShadowGs::new(options)
 }
 
-/// Gives each view its shadow prior: from the user's masks, else from its own dark areas.
+/// Gives each view its shadow prior: from the user's mask, else from the dark areas of the image.
 fn give_priors(
     views: &mut [View],
     suns: &[ImageSun],
@@ -146,7 +149,7 @@ fn give_priors(
             shadow_prior::found(&ground.images, &rasters, surface, &cameras, &suns)
         }
     };
-    // Without a sun nothing is in shadow, and no mask can change that.
+    // Without a sun there is no shadow, and no mask can change that.
     let lit_views = views.iter_mut().zip(priors).filter(|(view, _)| view.light.is_some());
     for (view, lit) in lit_views {
         view.visibility_prior = Some(lit);
@@ -154,7 +157,7 @@ fn give_priors(
     Ok(())
 }
 
-/// Outside of this box Gaussians are pruned, metres.
+/// Lowest and highest corner of the box outside of which Gaussians are pruned, metres of the scene's frame.
 pub(super) fn bounds(ground: &GroundViews) -> (Vec3, Vec3) {
     let (area, slack) = (&ground.area, 2.0);
     (
@@ -171,7 +174,8 @@ pub(super) fn bounds(ground: &GroundViews) -> (Vec3, Vec3) {
     )
 }
 
-/// Limits the number of Gaussians to `limit` bytes; returns the memory that training will use at most.
+/// Limits the number of Gaussians to `limit` bytes; returns the largest memory of training, bytes. Fails if the initial
+/// Gaussians do not fit.
 pub(super) fn fit_into_memory(
     limit: Option<u64>,
     scene: &Scene,

@@ -1,8 +1,8 @@
-//! Multi-date satellite images with RPC cameras become a shadow-aware Gaussian model of the ground.
+//! Shadow-aware Gaussian model of the ground from multi-date satellite images with RPC cameras.
 //!
 //! [`training::train`] runs all stages; [`preprocess::sweep_only`] stops at the surface before training. [`Decisions`]
-//! has the components that a scene requires, [`estimate`] the memory of a training; [`adjust`] corrects cameras, and
-//! [`measure`] compares a run with the truth of its scene.
+//! contains the components that a scene requires, [`estimate`] the memory of a training; [`adjust`] corrects cameras,
+//! and [`measure`] compares a run with the truth of its scene.
 
 pub mod adjust;
 pub mod altitude;

@@ -1,26 +1,25 @@
-//! Test whether a swept surface touches the limits of the searched altitudes, which means that it was cut off.
+//! Test whether a swept surface touches the limits of the searched altitudes and was thereby cut off.
 
 use heliosplat_scene::{Scene, crop};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface};
 
-/// Least confidence of a matched cell: at lower ones, cells matched by chance are at the limits too
-/// (docs/lab/altitude.md).
+/// Least confidence of a matched cell: below it, cells matched by chance lie at the limits too (docs/lab/altitude.md).
 const CONFIDENT: f32 = 0.5;
-/// Share of the matched cells at a limit of the altitudes from which on the surface is assumed to extend beyond.
+/// Share of the matched cells at a limit above which the surface is assumed to extend beyond it.
 const TOUCHING: f64 = 0.01;
-/// By which share of its width a range is widened on the side that the surface touches.
+/// Widening of a range on the side that the surface touches, as a share of its width.
 const WIDENING: f64 = 0.5;
 /// Least widening of the range, metres.
 const LEAST_WIDENING_M: f64 = 20.0;
 
-/// Matched cells of a surface, and those of them that lie at the lowest and at the highest altitude that was searched.
+/// Number of matched cells of a surface, and of those at the lowest and at the highest searched altitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct AtLimits {
-    /// At the lowest.
+    /// Cells at the lowest altitude.
     pub low: usize,
-    /// At the highest.
+    /// Cells at the highest altitude.
     pub high: usize,
-    /// All.
+    /// All matched cells.
     pub matched: usize,
 }
 
@@ -33,8 +32,8 @@ impl std::ops::AddAssign for AtLimits {
 }
 
 impl AtLimits {
-    /// Counts of a surface that was searched over the altitudes of `scene`; cells that fewer than two images see do not
-    /// count.
+    /// Counts for a surface that was searched over the altitudes of `scene`, without cells that fewer than two images
+    /// see.
     pub fn of(surface: &Surface, scene: &Scene) -> Self {
         let at = counted(surface, crop::altitude_range(scene));
         tracing::debug!(
@@ -45,18 +44,18 @@ impl AtLimits {
         at
     }
 
-    /// `count` as a share of the matched cells.
+    /// Share of `count` in the matched cells, 0..1.
     fn share(&self, count: usize) -> f64 {
         count as f64 / self.matched.max(1) as f64
     }
 
-    /// The range widened where the surface touches a limit of it, metres above the ellipsoid; `None` where it touches
-    /// none.
+    /// Range widened on each side that the surface touches, metres above the ellipsoid; `None` where it touches no
+    /// limit.
     pub fn wider(&self, range_m: (f64, f64)) -> Option<(f64, f64)> {
         widened(self, range_m)
     }
 
-    /// Warning about too narrow a range of altitudes; `None` where it is wide enough.
+    /// Warning about too narrow a range of altitudes (metres above the ellipsoid); `None` where it is wide enough.
     pub fn warning(&self, (low_m, high_m): (f64, f64)) -> Option<String> {
         let wider = self.wider((low_m, high_m))?;
         let mut ends = Vec::new();

@@ -1,4 +1,4 @@
-//! Accuracy of a run: images, shadows and surface against the scene's truth.
+//! Accuracy of a run: images, shadows and surface compared with the scene's truth.
 
 use super::clouds;
 use super::error::SatelliteError;
@@ -24,8 +24,8 @@ use serde_json::{Value, json};
 use std::path::Path;
 use std::sync::Arc;
 
-/// The run's `dsm.tif` against the scene's true one, with the share of cells visible in the run's images that are
-/// unknown; `None` without truth.
+/// Compares the run's `dsm.tif` with the scene's true surface; includes the share of unknown cells among those visible
+/// in the run's images. `None` without truth.
 ///
 /// # Errors
 /// When the surface or its truth cannot be read.
@@ -54,8 +54,11 @@ pub fn dsm(
     Ok(Some(evaluation))
 }
 
-/// Metrics (`metrics.json`) that follow from scene and model, with structures of all days; also draws pictures into the
-/// run's folder.
+/// Metrics (`metrics.json`) that follow from scene and model; `whole` contains the structures of all days. Draws
+/// pictures into the run's folder.
+///
+/// # Errors
+/// When truth cannot be read, or a picture cannot be written.
 pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protocol) -> Result<Value, SatelliteError> {
     let model = &whole.on_last();
     let mut out = json!({ "gaussians": model.parameters.gaussians.count, "suns": suns(&model.file.images) });
@@ -83,7 +86,7 @@ pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protoco
     }
     if let Some(folder) = scene.truth.relit.as_deref().filter(|_| model.file.has_light()) {
         let _part = stage("relit");
-        // Faults of optional truth do not fail a run.
+        // Errors in optional truth do not fail a run.
         match relit::measure(model, folder, run) {
             Ok(relit) => out["relit"] = relit,
             Err(error) => tracing::warn!("truth under other suns is left out: {error}"),
@@ -92,7 +95,7 @@ pub fn metrics(scene: &Scene, whole: &LoadedModel, run: &Path, protocol: Protoco
     Ok(out)
 }
 
-/// Accuracy of the surface, with its picture and its map of errors; `None` without truth.
+/// Accuracy of the surface; writes its picture and its map of errors. `None` without truth.
 fn surface(
     scene: &Scene,
     model: &LoadedModel,
@@ -112,7 +115,7 @@ fn surface(
 struct Views {
     train: Vec<ImageScore>,
     test: Vec<ImageScore>,
-    /// Source of the colours of the images held out.
+    /// Source of the colours of held-out images.
     colour: Option<&'static str>,
     shadows: ShadowCounts,
     traced: ShadowCounts,
@@ -135,7 +138,7 @@ impl Views {
     }
 }
 
-/// Renders, scores and draws the views of a `whole` model, which is `model` on its last day.
+/// Renders, scores and draws the views of the `whole` model; `model` is its state on the last day.
 fn views(scene: &Scene, whole: &LoadedModel, model: &LoadedModel, run: &Path) -> Result<Views, SatelliteError> {
     let mut out = Views::default();
     let rgb = colours_among(&model.file.bands);
@@ -149,7 +152,7 @@ fn views(scene: &Scene, whole: &LoadedModel, model: &LoadedModel, run: &Path) ->
     };
     let measure = |(view, rendered): (View, RenderedView)| view.measure(scene, &rendered, rgb, run);
     let mut waiting: Option<(View, RenderedView)> = None;
-    // While one view is rendered on nearly all threads, the one before it is scored and drawn.
+    // While one view is rendered on nearly all threads, the previous view is scored and drawn.
     for known in &model.file.images {
         let before = waiting.take();
         let (scores, rendered) = concurrently(
@@ -168,7 +171,7 @@ fn views(scene: &Scene, whole: &LoadedModel, model: &LoadedModel, run: &Path) ->
     Ok(out)
 }
 
-/// Changes found by the run, compared with the truth where there is one; `None` where none were searched.
+/// Changes found by the run, compared with the truth if there is one; `None` where no changes were searched.
 fn changes(scene: &Scene, run: &Path, whole: &LoadedModel) -> Result<Option<Value>, SatelliteError> {
     let Some(changes) = &whole.file.changes else {
         return Ok(None);
@@ -193,7 +196,7 @@ fn changes(scene: &Scene, run: &Path, whole: &LoadedModel) -> Result<Option<Valu
     Ok(Some(out))
 }
 
-/// An image of a run with its pixels.
+/// Image of a run with its pixels.
 struct View<'a> {
     known: &'a ModelImage,
     image: &'a SceneImage,
@@ -204,15 +207,15 @@ struct View<'a> {
 struct ViewScores {
     held_out: bool,
     score: Option<ImageScore>,
-    /// Source of its colours.
+    /// Source of the view's colours.
     colour: &'static str,
-    /// Its shadows against the true mask: with the colours of the image, and as traced; `None` without a mask, and
-    /// where it is held out.
+    /// Shadows compared with the true mask, first with the colours of the image, then as traced; `None` without a mask
+    /// and for held-out images.
     shadows: Option<[ShadowCounts; 2]>,
 }
 
 impl<'a> View<'a> {
-    /// The image of that name; `None` where the scene has it no more.
+    /// Image of the same name as `known`; `None` where the scene no longer contains it.
     fn of(scene: &'a Scene, known: &'a ModelImage) -> Option<Self> {
         let image = scene.images.iter().find(|i| i.name == known.name)?;
         let truth = known.crop.shared(&image.pixels);
@@ -244,7 +247,7 @@ impl<'a> View<'a> {
     }
 }
 
-/// The suns of the images, degrees, their standard deviations, and where they come from; null where a sun is unknown.
+/// Suns of the images (degrees) with standard deviation and source; null for an unknown sun.
 fn suns(images: &[ModelImage]) -> Value {
     let sun = |image: &ModelImage| {
         let [azimuth_deg, elevation_deg] = match image.sun {
@@ -265,14 +268,14 @@ fn suns(images: &[ModelImage]) -> Value {
     images.iter().map(sun).collect()
 }
 
-/// Indices of red, green and blue, if there are other bands besides.
+/// Indices of red, green and blue; `None` where there are no other bands besides.
 fn colours_among(bands: &[BandKind]) -> Option<[usize; 3]> {
     let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
     let rgb = [place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?];
     (bands.len() > rgb.len()).then_some(rgb)
 }
 
-/// The mean of the scores of some images.
+/// Mean of the scores of some images.
 fn mean(scores: &[ImageScore]) -> Value {
     let mean = |pick: &dyn Fn(&ImageScore) -> f64| scores.iter().map(pick).sum::<f64>() / scores.len().max(1) as f64;
     let mut out = json!({"psnr": mean(&|s| s.psnr), "ssim": mean(&|s| s.ssim)});
@@ -282,8 +285,8 @@ fn mean(scores: &[ImageScore]) -> Value {
     out
 }
 
-/// The image, its rendering, and the shadows over the image, side by side; with a true mask also where they are wrong:
-/// blue where a shadow is missing, red where one is too many.
+/// Draws the image, its rendering, and the shadows over the image, side by side. With a true mask, also draws the wrong
+/// shadows: blue for missing ones, red for false ones.
 fn draw(
     run: &Path,
     name: &str,
@@ -317,7 +320,7 @@ fn draw(
     )?)
 }
 
-/// Writes the surface that training started from, which later provides the sweep's deviations for the model's own
+/// Writes the surface that training started from; it later provides the sweep's standard deviations for the model's
 /// surface.
 pub(super) fn write_start(run: &Path, fitted: &Fitted, model: &LoadedModel) -> Result<Dsm, SatelliteError> {
     let start = of_surface(&model.into(), &fitted.found.surface, model.file.gsd_m, None)?;
@@ -325,7 +328,7 @@ pub(super) fn write_start(run: &Path, fitted: &Fitted, model: &LoadedModel) -> R
     Ok(start)
 }
 
-/// A picture of that surface, and its error where there is truth.
+/// Draws the surface that training started from; returns its error, or null without truth.
 pub(super) fn start_metrics(scene: &Scene, run: &Path, start: &Dsm, gsd_m: f64) -> Result<Value, SatelliteError> {
     preview::write_png(&run.join("start.png"), &preview::hillshade(&start.altitude(), gsd_m))?;
     let Some(truth) = &scene.truth.dsm else {
@@ -335,7 +338,7 @@ pub(super) fn start_metrics(scene: &Scene, run: &Path, start: &Dsm, gsd_m: f64) 
     Ok(surface_metrics(&evaluation))
 }
 
-/// The metrics of an evaluation, and the absolute errors at the quantiles 0 %, 5 % … 100 % of the cells.
+/// Metrics of an evaluation, with the absolute errors at the quantiles 0 %, 5 % … 100 % of the cells, metres.
 pub fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
     const PARTS: usize = 20;
     let mut out = serde_json::to_value(&evaluation.metrics).unwrap_or_default();
@@ -349,7 +352,7 @@ pub fn surface_metrics(evaluation: &DsmEvaluation) -> Value {
     out
 }
 
-/// Adds the metrics that only the fit has.
+/// Adds the metrics of the fit; `seconds` is the duration of the run.
 pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel, seconds: f64) {
     let Fitted { trained, found, .. } = fitted;
     let ([align, sweep], [start, train]) = (found.seconds, fitted.seconds);
@@ -376,12 +379,12 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
     metrics["curve"] = json!(trained.curve);
 }
 
-/// The main numbers for people.
+/// Main figures of a run, one line each.
 pub fn summary(metrics: &Value) -> String {
     [accuracy(metrics), engine(metrics)].concat().join("\n")
 }
 
-/// Accuracy of a run against the truth of its scene, one line for each metric.
+/// Accuracy of a run against the truth of its scene, one line for each metric in `metrics`.
 pub fn accuracy(metrics: &Value) -> Vec<String> {
     let protocol = metrics
         .pointer("/dsm/protocol")
@@ -444,10 +447,10 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
     )
 }
 
-/// Places of counts and areas that are left out where they are zero.
+/// JSON pointers of counts and areas that are omitted where they are zero.
 const SHOWN_ABOVE_ZERO: [&str; 3] = ["/rejected_steps", "/lowered/area_m2", "/change/segments"];
 
-/// The numbers that are there, a line each: label, place in the metrics, factor, and unit.
+/// One line for each figure in `metrics`; a row is label, JSON pointer, factor and unit.
 fn lines_of(metrics: &Value, rows: &[(&str, &str, f64, &str)]) -> Vec<String> {
     let line = |&(label, place, factor, unit): &(&str, &str, f64, &str)| {
         let value = metrics.pointer(place)?.as_f64()?;
@@ -457,7 +460,7 @@ fn lines_of(metrics: &Value, rows: &[(&str, &str, f64, &str)]) -> Vec<String> {
     rows.iter().filter_map(line).collect()
 }
 
-/// Image quality of a run, its time and its memory, one line for each metric.
+/// Image quality, time and memory of a run, one line for each metric in `metrics`.
 pub fn engine(metrics: &Value) -> Vec<String> {
     let colour = metrics.pointer("/test/colour").and_then(Value::as_str).unwrap_or("");
     let mut lines = lines_of(

@@ -1,4 +1,4 @@
-//! The planner: the components that a scene requires, decided once, before matching and training.
+//! The planner: components that a scene requires, decided once, before matching and training.
 //!
 //! [`Decisions::of`] uses views, dates, suns, bands, baselines and clipped values, and returns one value, which the
 //! plane sweep, the initial state and the trainer use. `inspect` prints that value with its reasons, and `run.toml`
@@ -25,41 +25,41 @@ use heliosplat_stereo::{FEW_VIEWS, MatchingFacts, MatchingParameters, no_match_w
 pub struct Decisions {
     /// Lighting of the model.
     pub light: Lighting,
-    /// Images whose sun stays unknown take no part in training.
+    /// True if images whose sun stays unknown are left out of training.
     pub only_known_suns: bool,
-    /// Each image has an affine colour of its own.
+    /// True if each image has an affine colour.
     pub image_colour: bool,
-    /// Clouds are searched and left out.
+    /// True if clouds are searched and left out.
     pub clouds: bool,
-    /// Ground that changed between the images is searched.
+    /// True if changes of the ground between the images are searched.
     pub change: bool,
-    /// Clipped values count as lower bounds.
+    /// True if clipped values count as lower bounds.
     pub saturation: bool,
-    /// The sun-visibility prior guides training.
+    /// True if the sun-visibility prior guides training.
     pub shadow_prior: bool,
-    /// The plane sweep compares a vegetation index besides brightness.
+    /// True if the plane sweep compares a vegetation index besides brightness.
     pub vegetation_index: bool,
     /// Correction of the images' relative pointing.
     pub align: Align,
-    /// Gaussians have near-surface light.
+    /// True if Gaussians have near-surface light.
     pub near_light: bool,
-    /// Largest degree of the spherical harmonics of albedo.
+    /// Largest degree of the spherical harmonics of albedo, 0 to 3.
     pub sh_degree: usize,
     /// Parameters of the plane sweep; `None` where no two images show the common ground.
     pub matching: Option<MatchingParameters>,
-    /// The decisions in words, with reasons.
+    /// Decisions in words, with reasons.
     #[serde(skip)]
     pub items: Vec<PlanItem>,
 }
 
-/// One component of the model, whether the scene requires it, and why.
+/// A component of the model: its state and the reason.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PlanItem {
-    /// Its name: that of the configuration, where it can be set.
+    /// Name of the component; that of its setting, where there is one.
     pub component: String,
     /// True if the component is on.
     pub on: bool,
-    /// The reason, in one line.
+    /// Reason, in one line.
     pub reason: String,
 }
 
@@ -67,19 +67,19 @@ pub struct PlanItem {
 struct Facts {
     images: usize,
     dates: usize,
-    /// Images whose sun is known.
+    /// Number of images with a known sun.
     suns: usize,
-    /// Lowest and highest of these, degrees.
+    /// Lowest and highest elevation of these suns, degrees.
     suns_deg: (f64, f64),
     /// Number of days with enough images on either side for two surfaces; `None` where an image has no date.
     dividing_days: Option<usize>,
-    /// Input of the choice of the plane sweep's matching parameters, or the reason why nothing can be matched.
+    /// Input for the choice of the sweep's matching parameters, or the reason why no ground can be matched.
     matching: Result<MatchingFacts, String>,
     /// The vegetation index, if there is one.
     index: Index,
-    /// Share of the values that are clipped.
+    /// Share of clipped values, 0..1.
     clipped: f64,
-    /// Largest difference between the given cameras and the pinhole cameras fitted to them, pixels.
+    /// Largest difference between the rational cameras and the pinhole cameras fitted to them, pixels.
     residual_px: f64,
 }
 
@@ -118,12 +118,12 @@ impl Facts {
     }
 }
 
-/// Component of the plan: how the model is lit.
+/// Plan item of the model's lighting.
 const SUN: &str = "sun";
-/// Component of the plan: the prior of shadows.
+/// Plan item of the shadow prior.
 const SHADOW_PRIOR: &str = "model.shadow_prior";
 impl Decisions {
-    /// Components that `scene` requires; settings in `config` take precedence.
+    /// Decisions for `scene`; settings in `config` take precedence.
     pub fn of(scene: &Scene, config: &SatelliteConfig) -> Self {
         Self::from_facts(&Facts::of(scene, config), config)
     }
@@ -150,7 +150,7 @@ impl Decisions {
         decisions
     }
 
-    /// The configuration completed by the decisions, as `run.toml` stores it.
+    /// Configuration completed by the decisions, as in `run.toml`.
     pub fn resolved(&self, config: &SatelliteConfig) -> SatelliteConfig {
         let mut config = config.clone();
         let model = &mut config.model;
@@ -162,8 +162,8 @@ impl Decisions {
         config
     }
 
-    /// The same after suns were searched by their shadows: `suns` are those of the training images, `searched` the
-    /// results for each image.
+    /// Decisions after the search for suns: `suns` are those of the training images, `searched` the results of the
+    /// search for each of them.
     pub(super) fn after_search(&self, suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> Self {
         let mut decisions = self.clone();
         if self.light != Lighting::FromShadows {
@@ -191,7 +191,7 @@ impl Decisions {
         decisions
     }
 
-    /// Lighting of the model, with the reason.
+    /// Expected lighting of the model, with the reason.
     pub fn light_reason(&self) -> &str {
         let found = self.items.iter().find(|item| item.component == SUN);
         found.map_or("", |item| &item.reason)
@@ -203,7 +203,7 @@ impl Decisions {
             on,
             reason,
         };
-        // Settings of the user take precedence over the facts, and the plan states that.
+        // Settings of the user take precedence, and the reason states that.
         let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, reason: String| {
             let reason = match set {
                 Some(set) if set != by_facts => {
@@ -312,7 +312,7 @@ impl Decisions {
     }
 }
 
-/// Plan items of the plane sweep's matching parameters: those for many views or for few, and its windows.
+/// Plan items of the sweep's matching parameters: for many or for few views, and the windows.
 fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<MatchingParameters>) -> [PlanItem; 2] {
     let item = |component: &str, on: bool, reason: String| PlanItem {
         component: component.into(),
@@ -356,7 +356,7 @@ fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<Matc
     ]
 }
 
-/// The windows over which the plane sweep averages its costs and smooths its surface.
+/// Windows over which the plane sweep averages its costs and smooths its surface, in words.
 fn windows(parameters: &MatchingParameters) -> String {
     let side = |radius: usize| 2 * radius + 1;
     if parameters.aggregation_radius == 0 {

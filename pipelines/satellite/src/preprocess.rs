@@ -1,4 +1,4 @@
-//! Stages before training: clouds, pointing, tie points and the initial surface.
+//! Stages before training: clouds, pointing, tie points, and the initial surface.
 
 use super::adjust;
 use super::altitude;
@@ -19,38 +19,40 @@ use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
 use std::time::Instant;
 
-/// Corrections of the pointing beyond which clouds are searched again, pixels: the displacement at which bright roofs
-/// are mistaken for clouds.
+/// Correction of the pointing above which clouds are searched again, pixels: at this displacement, bright roofs are
+/// mistaken for clouds.
 const CLOUDS_AGAIN_PX: f32 = 4.0;
 
-/// Results that are computed once before training, and kept in its checkpoint.
+/// Results that are computed once before training and stored in its checkpoint.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Preprocessed {
-    /// The swept surface; where something changed, that of the last images.
+    /// The swept surface; where the ground changed, that of the last images.
     pub surface: Surface,
-    /// Changes between the images.
+    /// Changes of the ground between the images.
     pub changes: Changes,
     /// Parts of the surface that were lowered because they bridged shaded ground; `None` where fewer than two suns are
     /// known.
     pub lowered: Option<Lowered>,
-    /// Pointing corrections, pixels.
+    /// Pointing correction of each training image, columns and rows, pixels.
     pub shifts_px: Vec<[f32; 2]>,
-    /// The pixels of each image that show clouds; empty where there are none.
+    /// Cloud mask of each crop; empty where there are no clouds.
     pub clouds: Vec<Vec<bool>>,
-    /// Suns estimated from shadows, in the order of the scene's images, where the suns are not known.
+    /// Sun estimated from shadows for each image of the scene; `None` where the sun is known or there is no estimate.
     pub shadow_suns: Vec<Option<ShadowSun>>,
-    /// Seconds spent on alignment and on the sweep.
+    /// Seconds spent on alignment, and on the sweep.
     pub seconds: [f64; 2],
 }
 
-/// A scene's surface before any training, with its inputs.
+/// Surface of a scene before training, with the ground and the images that it comes from.
 pub(super) struct Preprocess<'a> {
+    /// The ground and the images that show it.
     pub(super) ground: GroundViews<'a>,
+    /// Results of the stages.
     pub(super) found: Preprocessed,
 }
 
 impl<'a> Preprocess<'a> {
-    /// Runs the stages.
+    /// Runs the stages before training.
     ///
     /// # Errors
     /// When too few images show the common ground, or one of them has no contrast there.
@@ -109,8 +111,8 @@ impl<'a> Preprocess<'a> {
         Ok(Self { ground, found })
     }
 
-    /// Sweeps again under `suns`, one for each image of the ground, where these group more images into passes, whose
-    /// pixel values can then be compared. Returns whether that was so.
+    /// Sweeps again under `suns`, one for each image of the ground, if they group the images into other passes; pixel
+    /// values within a pass are comparable. Returns true after a sweep.
     pub(super) fn sweep_under(
         &mut self,
         suns: Vec<ImageSun>,
@@ -150,10 +152,10 @@ impl<'a> Preprocess<'a> {
         true
     }
 
-    /// The same from stored results; `None` where they are not of this scene.
+    /// Continues from stored results; `None` where they are of another scene.
     ///
     /// # Errors
-    /// As [`Self::new`].
+    /// When too few images show the common ground.
     pub(super) fn again(scene: &'a Scene, found: Preprocessed) -> Result<Option<Self>, SatelliteError> {
         let ground = GroundViews::new(scene, scene.training())?;
         let images = ground.images.len();
@@ -169,8 +171,8 @@ impl<'a> Preprocess<'a> {
     }
 }
 
-/// The pixels of the crops of `ground` without clouds, and where clouds were, if they are to be searched; cameras are
-/// moved by `shifts_px`.
+/// Pixels of the crops of `ground` without clouds, and the cloud masks, if clouds are searched; cameras are moved by
+/// `shifts_px`.
 pub(super) fn clear_rasters(
     ground: &GroundViews,
     decisions: &Decisions,
@@ -187,7 +189,8 @@ pub(super) fn clear_rasters(
     (rasters, clouds)
 }
 
-/// The surface that the crops of `ground` find together, their cameras moved by `shifts_px`.
+/// Surface from all crops of `ground`, with the cameras moved by `shifts_px`; `progress` receives the completed share,
+/// 0..1.
 pub(super) fn sweep(
     ground: &GroundViews,
     rasters: &[Raster],
@@ -200,13 +203,13 @@ pub(super) fn sweep(
     plane_sweep(&views(ground, rasters, &indices, shifts_px), request, progress)
 }
 
-/// A vegetation index of each crop, where it is to be compared.
+/// Vegetation index of each crop; `None` where the sweep compares none.
 fn indices(ground: &GroundViews, rasters: &[Raster], decisions: &Decisions) -> Option<Vec<Raster>> {
     let asked = decisions.vegetation_index.then(|| ground.vegetation_indices(rasters));
     asked.flatten()
 }
 
-/// The crops as the sweep takes them.
+/// Crops as input of the sweep.
 fn views<'r>(
     ground: &GroundViews,
     rasters: &'r [Raster],
@@ -220,7 +223,7 @@ fn views<'r>(
     views
 }
 
-/// Changes between the images, where they are to be searched; `surface` becomes that of the last.
+/// Changes between the images, if they are searched; `surface` becomes that of the last images.
 fn changes(
     ground: &GroundViews,
     rasters: &[Raster],
@@ -243,8 +246,8 @@ fn changes(
     changes
 }
 
-/// Lowers parts of the surface that bridge shaded ground, by the brightness of the crops; `None` where that is not
-/// possible.
+/// Lowers parts of the surface that bridge shaded ground, by the brightness of the crops; `None` where that is
+/// impossible, such as with fewer than two known suns.
 pub(super) fn lower(
     ground: &GroundViews,
     rasters: &[Raster],
@@ -255,7 +258,7 @@ pub(super) fn lower(
     bridged::lower(&views(ground, rasters, &None, shifts_px), surface, changes)
 }
 
-/// Logs the lowered parts, if any.
+/// Logs the lowered parts, if there are any.
 pub(super) fn log_lowered(lowered: &Lowered) {
     if lowered.parts > 0 {
         tracing::info!(
@@ -266,7 +269,7 @@ pub(super) fn log_lowered(lowered: &Lowered) {
     }
 }
 
-/// The surface that all views of `scene` find together, without training.
+/// Surface of a scene from all of its views, without training.
 ///
 /// # Errors
 /// When too few images show the common ground.
@@ -275,11 +278,11 @@ pub fn sweep_only(scene: &Scene, config: &SatelliteConfig, session: &Session) ->
     Preprocess::new(scene, config, &decisions, session).map(|swept| swept.found.surface)
 }
 
-/// A scene and the surface that its views find together without training. A range of altitudes that tie points gave is
-/// widened where the surface touches its limits; one that was stated is kept, which is a warning.
+/// A scene, and its surface from all views without training. A range of altitudes from tie points is widened where the
+/// surface touches its limits; for a stated range, this is a warning.
 ///
 /// # Errors
-/// As [`Scene::open`] and [`sweep_only`].
+/// Those of [`Scene::open`] and [`sweep_only`].
 pub fn open_and_sweep(
     index: &Index,
     options: &IngestOptions,
@@ -316,8 +319,9 @@ pub fn open_and_sweep(
     Ok((scene, surface))
 }
 
-/// Corrections of the images' pointing, pixels, zero where the configuration excludes them or the estimate is too
-/// small; and whether each image is left out, because its ties contradict its camera.
+/// Pointing correction of each image (columns, rows; pixels), zero where the configuration excludes them or all are
+/// small; and a flag for each image, true if it is left out because its ties contradict its camera (empty
+/// where no image is).
 fn align(
     ground: &GroundViews,
     rasters: &[Raster],
@@ -350,7 +354,7 @@ fn align(
     }
 }
 
-/// The shifts if `align` is on or they are large enough; else none.
+/// The shifts, if `align` is on or they are large enough; else none.
 pub(super) fn worth_correcting(shifts_px: Vec<[f32; 2]>, align: Align) -> Vec<[f32; 2]> {
     let largest = shifts_px.iter().flatten().fold(0.0f32, |a, &b| a.max(b.abs()));
     tracing::info!("Largest correction of a camera: {largest:.2} px");

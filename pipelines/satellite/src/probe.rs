@@ -1,4 +1,4 @@
-//! Accuracy of a model while it is trained, where the scene has truth.
+//! Accuracy of a model during training, where the scene has truth.
 
 use heliosplat::splat::ProjectionOptions;
 use heliosplat_evaluate::{Protocol, evaluate_raster};
@@ -10,8 +10,8 @@ use heliosplat_products::surface::SurfaceGaussians;
 use heliosplat_scene::Scene;
 use heliosplat_scene::indices::VegetationIndex;
 
-/// Measures the error of the surface of a model in training against the scene's true one; `None` without truth.
-/// `leaves` is the index that separates leaves by their colours.
+/// Function that measures the error of the surface of a model in training against the scene's true surface; `None`
+/// without truth. `leaves` is the index that separates leaves by their colours.
 pub(super) fn height_probe(scene: &Scene, leaves: Option<VegetationIndex>) -> Option<Box<Probe<'_>>> {
     let truth = scene.truth.dsm.as_deref()?;
     let classes = scene.truth.classes.as_deref();

@@ -1,7 +1,7 @@
-//! A run's relit images against truth under suns that no image had.
+//! Relit images of a run, compared with truth under suns that no image had.
 //!
-//! The prediction is the image that `relight` writes: the run's own grid from straight above, resampled to the truth's
-//! grid like a surface model, bilinear. No image is used: shadows are traced.
+//! The prediction is the image that `relight` writes: a view from straight above on the run's grid, resampled to the
+//! truth's grid by bilinear interpolation. Shadows are traced; no image is used.
 
 use crate::error::SatelliteError;
 use heliosplat::Raster;
@@ -18,10 +18,10 @@ use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Folder of the pictures in a run.
+/// Name of the folder in a run with the pictures.
 pub const PICTURES: &str = "relit";
 
-/// Ours and truth under one sun, on the truth's grid.
+/// Prediction and truth under one sun, on the truth's grid.
 struct Compared {
     sun: SunPosition,
     ours: Raster,
@@ -30,11 +30,11 @@ struct Compared {
     true_shadow: Raster,
 }
 
-/// `relit` of `metrics.json`: a run's relit images against the truth in `folder`. Also draws a picture of each sun into
-/// the run's folder.
+/// Compares a run's relit images with the truth in `folder`; returns `relit` of `metrics.json`. Draws a picture of each
+/// sun into the run's folder.
 ///
 /// # Errors
-/// When the truth cannot be read or is not of this scene, the model has no light, or a picture cannot be written.
+/// When the truth cannot be read or is of another scene, the model has no light, or a picture cannot be written.
 pub fn measure(model: &LoadedModel, folder: &Path, run: &Path) -> Result<Value, SatelliteError> {
     let truths = relit_truth(folder)?;
     let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
@@ -101,7 +101,7 @@ fn geo(raster: Raster, nadir: &NadirGrid) -> GeoRaster {
     }
 }
 
-/// All bands of a raster on another's grid.
+/// All bands of a raster, resampled to another raster's grid.
 fn onto(source: &GeoRaster, target: &GeoRaster) -> Result<Raster, SatelliteError> {
     let placement = Placement::new(source, target)?;
     let bands = source.raster.bands;
@@ -115,8 +115,8 @@ fn onto(source: &GeoRaster, target: &GeoRaster) -> Result<Raster, SatelliteError
     })
 }
 
-/// Truth, the prediction after the one gain, and the truth with missing (blue) and false (red) shadows; all suns with
-/// one stretch, so that pictures get darker with lower suns.
+/// Draws truth, prediction after a common gain, and the truth with missing (blue) and false (red) shadows. All suns
+/// have one stretch, so pictures get darker with lower suns.
 fn draw(compared: &[Compared], scores: &RelitScores, run: &Path) -> Result<(), SatelliteError> {
     let folder = run.join(PICTURES);
     create_folder(&folder)?;
@@ -173,7 +173,7 @@ fn value(compared: &[Compared], scores: &RelitScores) -> Value {
     })
 }
 
-/// `relit` of `metrics.json` as a readable table; empty where there is none.
+/// `relit` of `metrics.json` as a table in text; empty where there is none.
 pub fn table(relit: &Value) -> String {
     let Some(suns) = relit["suns"].as_array() else {
         return String::new();

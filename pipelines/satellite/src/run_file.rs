@@ -1,8 +1,8 @@
 //! `run.toml` of a satellite run (configuration, version, seed, inputs), and writing of a run's folder.
 //!
 //! A run is `run.toml` (resolved configuration, version, seed, inputs with hashes), `cut.json` (the pixels used),
-//! `model.ply` (the Gaussians), `model.json` (shared parameters, the frame and the cameras), `metrics.json`, `dsm.tif`,
-//! pictures. Everything is written to a temporary name and renamed.
+//! `model.ply` (the Gaussians), `model.json` (shared parameters, the frame and the cameras), `metrics.json`, `dsm.tif`
+//! and pictures. Every file is written under a temporary name and renamed.
 
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
@@ -15,44 +15,44 @@ use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{AreaRequest, Index, KeptCut, Scene, Split};
 use std::path::{Path, PathBuf};
 
-/// `run.toml`.
+/// Content of `run.toml`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RunFile {
     /// Version of the program.
     pub version: String,
-    /// Build of the program; absent in runs of versions that did not state it.
+    /// Build of the program; empty in runs of versions that did not state it.
     #[serde(default)]
     pub build: String,
-    /// Preset the configuration started from.
+    /// Preset at the start of the configuration.
     pub preset: String,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// The scene.
+    /// Folder or `scene.toml` of the scene.
     pub scene: PathBuf,
-    /// The requested altitude range, if any, metres.
+    /// Requested range of altitudes, metres above the ellipsoid; `None` if there was no request.
     pub altitude_range_m: Option<(f64, f64)>,
-    /// The altitude range that tie points gave, where none was stated, metres.
+    /// Range of altitudes from tie points, metres above the ellipsoid; `None` if another source gave the range.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub altitude_from_ties_m: Option<(f64, f64)>,
-    /// The requested piece of ground, if any.
+    /// Requested area; `None` for all of the common ground.
     #[serde(default)]
     pub area: Option<AreaRequest>,
     /// Components that the scene required, with reasons.
     pub plan: Vec<PlanItem>,
-    /// The images, hashed.
+    /// Images, with their hashes.
     pub inputs: Vec<Input>,
     /// The resolved configuration.
     pub config: SatelliteConfig,
 }
 
-/// Settings in runs of earlier builds that decide nothing any more.
+/// Former settings in runs of earlier builds that are ignored.
 const RETIRED: [(&str, &str); 2] = [("start", "step_opacity"), ("model", "opaqueness_weight")];
 
 impl RunFile {
-    /// Content of a `run.toml`.
+    /// Parses the text of a `run.toml`.
     ///
     /// # Errors
-    /// A sentence with the fault.
+    /// One sentence with the fault.
     pub fn parse(text: &str) -> Result<Self, String> {
         let run = || -> Result<Self, toml::de::Error> {
             let mut run: toml::Table = toml::from_str(text)?;
@@ -68,7 +68,8 @@ impl RunFile {
     }
 }
 
-/// Entries of a scene's images in `model.json`: all images of the area, training images with their colours.
+/// Entries of a scene's images in `model.json`: all images that show the area, grown by `margin_m` metres; training
+/// images with their colours.
 pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelImage> {
     let area = crop::grown(&scene.area, margin_m);
     let up_m = crop::altitude_range(scene);
@@ -105,7 +106,8 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
         .collect()
 }
 
-/// Writes model and configuration into `folder`, which must exist; `model.json` last, which makes the folder a run.
+/// Writes model and configuration into `folder`, which must exist. `model.json` comes last, since it marks the folder
+/// as a run.
 ///
 /// # Errors
 /// When a file cannot be written.
@@ -118,10 +120,10 @@ pub fn save(folder: &Path, run: &RunFile, cut: &KeptCut, file: &ModelFile, gauss
     model::save(folder, &[(RUN, &text), (CUT, &cut)], file, gaussians)
 }
 
-/// The `run.toml` of a run.
+/// Reads the `run.toml` of a run.
 ///
 /// # Errors
-/// When it is missing or damaged.
+/// When the file is missing or damaged.
 pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
     let path = folder.join("run.toml");
     if !path.is_file() {
@@ -130,13 +132,13 @@ pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
     RunFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
 }
 
-/// Name of the file that keeps the cut of a run.
+/// Name of the file with the cut of a run.
 pub const CUT: &str = "cut.json";
 
-/// The cut that a run was trained on.
+/// Reads the cut that a run was trained on.
 ///
 /// # Errors
-/// When the run has none or it is damaged.
+/// When the file is missing or damaged.
 pub fn cut_of(run: &Path) -> Result<KeptCut, RunError> {
     let path = run.join(CUT);
     let damaged = |reason: String| RunError::Damaged {
@@ -151,10 +153,10 @@ pub fn cut_of(run: &Path) -> Result<KeptCut, RunError> {
     serde_json::from_str(&read(&path)?).map_err(|error| damaged(error.to_string()))
 }
 
-/// The scene that a run was trained on: the same windows, cameras and scale.
+/// Reads the scene that a run was trained on, with its windows, cameras and scale.
 ///
 /// # Errors
-/// When the run or its scene cannot be read, and where the scene is not the one that was trained on.
+/// When the run or its scene cannot be read, or the scene has changed since the training.
 pub fn scene_of(run: &Path) -> Result<Scene, SatelliteError> {
     let file = load_run(run)?;
     let kept = cut_of(run)?;

@@ -1,7 +1,8 @@
-//! One pointing correction for each image of an area that is trained in tiles: ties of patches all over it, and one solve.
+//! Pointing corrections for the images of an area that is trained in tiles: ties of patches all over it, and one
+//! solution.
 //!
-//! Tiles that find their pointing each by themselves have datums that differ by what ties of one tile leave open. One solve has one gauge,
-//! and an image that a tile shows in a corner is corrected by all that it shows.
+//! Separately corrected tiles have different datums, since the ties of one tile leave some directions open. One
+//! solution has one gauge, and an image that a tile shows in a corner is corrected by all of its ground.
 
 use crate::adjust::{AdjustInput, contradictions};
 use crate::config::SatelliteConfig;
@@ -15,26 +16,27 @@ use heliosplat_scene::{AreaRequest, Cut, Index, IngestOptions, Scene, SceneError
 use heliosplat_session::Session;
 use std::collections::BTreeMap;
 
-/// The corrections of an area.
+/// Pointing corrections of an area.
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SharedCameras {
-    /// Columns and rows by image name, pixels; an image without ties is not there.
+    /// Columns and rows by image name, pixels; images without ties are missing.
     pub shifts_px: BTreeMap<String, [f32; 2]>,
     /// Names of the images that are left out: their ties contradict their cameras.
     #[serde(default)]
     pub left_out: Vec<String>,
-    /// Ties that they were found from.
+    /// Number of ties.
     pub ties: usize,
-    /// Patches that had some.
+    /// Number of patches with ties.
     pub patches: usize,
-    /// Standard deviation of a good sighting in one direction, pixels.
+    /// Standard deviation of a good sighting along one axis, pixels.
     pub sigma_px: Option<f64>,
 }
 
-/// The corrections that make the training images agree on the ties of all `patches`; none, with a warning, where these have too few.
+/// Corrections that make the training images agree on the ties of all `patches`; none, with a warning, where the ties
+/// are too few.
 ///
 /// # Errors
-/// When an image cannot be read, or the user stops it.
+/// When an image cannot be read, or the user stops the search.
 pub fn shared_cameras(
     index: &Index,
     options: &IngestOptions,
@@ -76,7 +78,7 @@ pub fn shared_cameras(
             let pixels: Vec<usize> = index.images.iter().map(|image| image.size.0 * image.size.1).collect();
             for contradiction in contradictions(&pixels, &solved) {
                 let name = &index.images[contradiction.image].name;
-                // Only parts of the images were searched: no tie at all is no contradiction.
+                // Only parts of the images were searched, so the lack of ties is no contradiction.
                 if contradiction.sightings > 0 {
                     tracing::warn!("{}", contradiction.message(name));
                     found.left_out.extend(contradiction.is_out.then(|| name.clone()));
@@ -102,7 +104,7 @@ fn solve(index: &Index, tracks: &[Track], frame: &LocalFrame) -> Result<Adjustme
     adjust(&images, tracks, frame, AdjustOptions::default())
 }
 
-/// The ties of a patch, in the pixels of the images' files; none where too few images show it or go together there.
+/// Ties of a patch, in pixels of the image files; none where too few images show the patch or match there.
 fn ties_of(index: &Index, options: &IngestOptions, config: &SatelliteConfig) -> Result<Vec<Track>, SatelliteError> {
     let mut cut = match Cut::of(index, options, &mut Vec::new()) {
         Err(SceneError::NotCovered { .. }) => return Ok(Vec::new()),

@@ -1,6 +1,6 @@
-//! A short fit under the known suns, for a surface on which shadows determine the unknown ones.
+//! Short fit under the known suns, for a surface on which shadows determine the unknown suns.
 //!
-//! Roofs of a swept surface are too wide and its walls lean, and its shadows have the same errors. A model of a few
+//! Roofs of a swept surface are too wide and its walls lean, and its shadows have the same errors. A model after a few
 //! steps has its walls in the right place: shadows and dark ground agree better on it by half (docs/lab/suns.md).
 
 use super::config::SatelliteConfig;
@@ -19,12 +19,12 @@ use heliosplat_radiometry::{colours, linear};
 use heliosplat_scene::Scene;
 use heliosplat_session::Session;
 
-/// Steps: those of the preset `fast`.
+/// Number of steps, as in the preset `fast`.
 const STEPS: usize = 40;
-/// Views under known suns from which on the others are left out.
+/// Number of views under known suns at or above which the other views are left out.
 const FEWEST_KNOWN: usize = 4;
 
-/// Altitudes of such a model on the cells of the swept surface, metres; NaN where it has none.
+/// Altitudes of a shortly fitted model on the cells of the swept surface, metres; NaN where it has none.
 ///
 /// # Errors
 /// [`SatelliteError`] when training fails or does not fit into the given memory.

@@ -1,4 +1,4 @@
-//! The suns that light a model: known ones, and suns estimated from shadows for the other images.
+//! Suns that light a model: known ones, and suns estimated from shadows for the other images.
 
 use super::clouds;
 use super::ground::GroundViews;
@@ -10,15 +10,15 @@ use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::{ImageSun, Scene, SceneImage};
 use heliosplat_stereo::Surface;
 
-/// Estimates the unknown suns from the shadows on the swept surface, image by image of the scene, held-out images too;
-/// `None` where a sun is known, or there is no estimate.
+/// Estimates the unknown suns of all images, held-out ones too, from shadows on the swept surface. The result is `None`
+/// for images with a known sun and where there is no estimate.
 pub(super) fn search(scene: &Scene, swept: &mut Preprocess) {
     let _part = stage("suns");
     swept.found.shadow_suns = found(scene, swept, &swept.found.surface);
 }
 
-/// Searches again on better altitudes of the swept surface's cells, metres (NaN where there are none). Decisive results
-/// replace those found before. Returns whether a sun is known now that was not.
+/// Repeats the search on better altitudes of the swept surface's cells, metres (NaN where there are none). Decisive
+/// results replace earlier ones. Returns true if a sun became known.
 pub(super) fn search_again(scene: &Scene, swept: &mut Preprocess, altitude_m: &[f32]) -> bool {
     let _part = stage("suns");
     let mut surface = swept.found.surface.clone();
@@ -37,7 +37,7 @@ pub(super) fn search_again(scene: &Scene, swept: &mut Preprocess, altitude_m: &[
     more
 }
 
-/// True if shadows give some sun a direction that is not decisive: a better surface may decide it.
+/// True if some estimate beats other suns without being decisive; a better surface may decide it.
 pub(super) fn are_undecided(searched: &[Option<ShadowSun>]) -> bool {
     let in_doubt = |sun: &ShadowSun| !sun.is_decisive() && sun.beats_others();
     searched.iter().flatten().any(in_doubt)
@@ -54,7 +54,7 @@ fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<Sha
     let mut rasters = ground.rasters();
     let mut shifts_px = vec![[0.0; 2]; rasters.len()];
     for (place, image) in ground.images.iter().enumerate() {
-        // Held-out images have neither: their cameras are used as delivered.
+        // Held-out images have neither shifts nor clouds: their cameras are used as delivered.
         if let Some(trained) = swept
             .ground
             .images
@@ -101,7 +101,7 @@ pub(super) fn place_in(scene: &Scene, image: &SceneImage) -> Option<usize> {
     scene.images.iter().position(|other| std::ptr::eq(other, image))
 }
 
-/// The suns of all images of the scene after the search: those of shadows only where they are decisive.
+/// Suns of all images of the scene after the search; estimates count only where they are decisive.
 pub(super) fn after(scene: &Scene, searched: &[Option<ShadowSun>]) -> Vec<ImageSun> {
     let one = |(image, found): (&SceneImage, &Option<ShadowSun>)| match found {
         Some(sun) if image.sun.position.is_none() && sun.is_decisive() => ImageSun::from_shadows(
@@ -113,14 +113,14 @@ pub(super) fn after(scene: &Scene, searched: &[Option<ShadowSun>]) -> Vec<ImageS
     scene.images.iter().zip(searched).map(one).collect()
 }
 
-/// Suns of the images of `ground`.
+/// Suns of the images of `ground` after the search.
 pub(super) fn of_ground(scene: &Scene, ground: &GroundViews, searched: &[Option<ShadowSun>]) -> Vec<ImageSun> {
     let all = after(scene, searched);
     let places = ground.images.iter().filter_map(|image| place_in(scene, image));
     places.map(|place| all[place]).collect()
 }
 
-/// Suns of the images of `ground`, and the decisions under them.
+/// Suns of the images of `ground` after the search, and the decisions under them.
 pub(super) fn decided(
     scene: &Scene,
     ground: &GroundViews,

@@ -1,58 +1,58 @@
-//! Memory of a plane sweep, bounded before its pixels are read.
+//! Memory of a plane sweep, as an upper bound before its pixels are read.
 //!
 //! Most of it is the cost volume: one byte of matching cost and two of summed costs for each height hypothesis of each
 //! cell. A cell of the finest level searches around the result of coarser levels, all hypotheses at most; their number
-//! follows from the range of altitudes and the widest base of two images. So a range that is twice as wide may need
-//! twice the memory.
+//! follows from the range of altitudes and the widest base of two images. A range of twice the width may need twice the
+//! memory.
 
 use heliosplat_scene::survey::Survey;
 use heliosplat_stereo::height_levels;
 
-/// The program itself with its libraries and their buffers, bytes.
+/// Memory of the program itself with its libraries and their buffers, bytes.
 pub const PROGRAM_BYTES: f64 = 100.0 * 1_048_576.0;
 /// Bytes per height hypothesis of a cell: a cost, and the sum over all paths.
 const BYTES_PER_LEVEL: f64 = 3.0;
-/// Bytes per cell besides: heights chosen at two levels of the search with their candidates, ranges, the guide image,
+/// Further bytes per cell: heights chosen at two levels of the search with their candidates, ranges, the guide image,
 /// the surface.
 const BYTES_PER_CELL: f64 = 100.0;
-/// Bytes per pixel and band of the images: as they were read, and as they are swept.
+/// Bytes per pixel and band of the images: the copy that was read, and the copy that is swept.
 const BYTES_PER_PIXEL_AND_BAND: f64 = 8.0;
-/// Further bytes per pixel: mean of the bands and its contrast, a copy during its computation, the first surface
-/// visible, the index.
+/// Further bytes per pixel: mean of the bands and its contrast, a copy during its computation, the first visible
+/// surface, the index.
 const BYTES_PER_PIXEL: f64 = 36.0;
 /// Bytes per pixel of the largest image while it is read.
 const BYTES_PER_PIXEL_READ: f64 = 12.0;
-/// Bytes per cell of the map while a surface model is made and written at once: its bands twice, and the finished file.
+/// Bytes per cell of the map while a surface model is made and written: its bands twice, and the finished file.
 const BYTES_PER_MAP_CELL: f64 = 40.0;
-/// Further bytes of reading: GDAL's cache of blocks, and a sample of all values.
+/// Further bytes while reading: GDAL's block cache, and a sample of all values.
 const READING_BYTES: f64 = 96.0 * 1_048_576.0;
-/// Share that allocators add.
+/// Factor for the overhead of allocators.
 const SPARE: f64 = 1.1;
 
-/// Quantities that determine the memory of a sweep, the same for all parts of a scene.
+/// Quantities of the memory of a sweep that are equal for all parts of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct SweepModel {
-    /// Height hypotheses of a cell.
+    /// Number of height hypotheses of a cell.
     pub(super) levels: usize,
-    /// Bands of every image.
+    /// Number of bands of every image.
     pub(super) bands: usize,
 }
 
 /// The ground and the images of one sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct SweepExtent {
-    /// Cells of the ground grid.
+    /// Number of cells of the ground grid.
     pub(super) cells: f64,
-    /// Cells of the map that the surface model lies on.
+    /// Number of cells of the surface model's map.
     pub(super) map_cells: f64,
-    /// Pixels of all images.
+    /// Number of pixels of all images.
     pub(super) pixels: f64,
-    /// Pixels of the largest.
+    /// Number of pixels of the largest image.
     pub(super) largest: f64,
 }
 
 impl SweepModel {
-    /// The model of a scene that is swept in cells of `cell_m` metres.
+    /// Model for a scene that is swept in cells of `cell_m` metres.
     pub(super) fn of(survey: &Survey, cell_m: f64) -> Self {
         let (low_m, high_m) = survey.altitude_range_m;
         let widest = survey.widest_base_to_height;
@@ -62,7 +62,7 @@ impl SweepModel {
         }
     }
 
-    /// Most bytes that the process holds while it sweeps.
+    /// Largest memory of the process during the sweep, bytes.
     pub(super) fn bytes(&self, extent: &SweepExtent) -> f64 {
         let SweepExtent {
             cells,
@@ -78,7 +78,8 @@ impl SweepModel {
     }
 }
 
-/// Most bytes that the search of `cells` cells with `levels` height hypotheses adds to images of `pixels` pixels.
+/// Largest memory that the search of `cells` cells with `levels` height hypotheses adds to images of `pixels` pixels,
+/// bytes.
 pub(super) fn search_bytes(cells: f64, levels: usize, pixels: f64) -> f64 {
     cells * (BYTES_PER_CELL + BYTES_PER_LEVEL * levels as f64) + BYTES_PER_PIXEL * pixels
 }

@@ -1,8 +1,8 @@
 //! Tiles of a sweep that fit into memory.
 //!
-//! Cores are on the cells of one map grid and do not overlap. A tile is swept beyond its core: over the margin in which
-//! it is blended with its neighbours, and over a rim around that, where heights have fewer neighbours. All tiles are in
-//! the frame of the whole scene, on one lattice of ground cells, on each level of the search.
+//! Cores of tiles are on the cells of one map grid and do not overlap. A tile is swept beyond its core: over the margin
+//! in which it is blended with its neighbours, and over a rim around that, where heights have fewer neighbours. All
+//! tiles are in the frame of the whole scene, and on one lattice of ground cells on each level of the search.
 
 use super::config::SatelliteConfig;
 use super::error::SatelliteError;
@@ -13,21 +13,21 @@ use heliosplat_rpc::GeoPoint;
 use heliosplat_scene::survey::Survey;
 use heliosplat_scene::{Area, crop};
 
-/// Cells of the ground on each side of the border of a core over which two tiles are blended.
+/// Width of the blended margin on each side of a core's border, cells of the ground.
 const BLEND_CELLS: f64 = 32.0;
-/// Cells of the rim around the blended margin: the paths of semi-global matching forget their start within some tens of
-/// cells (docs/lab/streaming.md).
+/// Width of the rim around the blended margin, cells: the paths of semi-global matching forget their start within some
+/// tens of cells (docs/lab/streaming.md).
 const RIM_CELLS: f64 = 32.0;
-/// Width of a cell of the coarsest level of the search, cells: tiles begin at multiples, so that all levels share one
+/// Width of a cell of the search's coarsest level, cells: tiles begin at multiples of it, so that all levels share one
 /// lattice.
 const LATTICE: f64 = 8.0;
-/// Smallest core, map cells each way: smaller ones cost more for their rims.
+/// Least side of a core, map cells: smaller cores have too much rim.
 const LEAST_CORE: usize = 96;
-/// Points per edge of a tile that is taken from the map to the ground: its edges may be curved there.
+/// Points per edge of a tile for the transformation from map to ground, since edges may become curved.
 const POINTS_PER_EDGE: usize = 8;
-/// Bytes per map cell of the rows that are blended at a time: the values of tiles, and the rows twice.
+/// Bytes per map cell of the rows that are blended at once: the values of tiles, and the rows twice.
 const BYTES_PER_BLENDED_CELL: f64 = 64.0;
-/// Rows of the map that are blended at a time.
+/// Rows of the map that are blended at once.
 pub(super) const ROWS_AT_ONCE: usize = 256;
 
 /// Plan of a sweep.
@@ -35,50 +35,51 @@ pub(super) const ROWS_AT_ONCE: usize = 256;
 pub struct SweepPlan {
     /// Width of a cell of the ground grid, metres.
     pub cell_m: f64,
-    /// Most bytes that the process will hold.
+    /// Largest memory of the process, bytes.
     pub peak_bytes: f64,
-    /// Its tiles; `None` where it fits as a whole.
+    /// Tiles of the sweep; `None` where the scene fits as a whole.
     pub tiling: Option<SweepTiling>,
 }
 
 /// The tiles of a sweep.
 #[derive(Debug, Clone)]
 pub struct SweepTiling {
-    /// The map grid of all.
+    /// Map grid of the whole surface model.
     pub grid: GridSpec,
-    /// Ground that is swept, metres of the scene's frame, its edges on cells.
+    /// Ground that is swept, metres of the scene's frame; its edges are on cells.
     pub whole: Area,
-    /// Rows and columns of tiles.
+    /// Number of rows and columns of tiles.
     pub size: (usize, usize),
-    /// The tiles that two images may show, row by row.
+    /// Tiles that two images may show, row by row.
     pub tiles: Vec<SweepTile>,
 }
 
 /// One tile of a sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepTile {
-    /// First and one past last column and row of the map of its core.
+    /// Columns and rows of the map in the core, each as first and one past the last.
     pub core: [[usize; 2]; 2],
-    /// The same with the margins in which it is blended with its neighbours.
+    /// Columns and rows of the map in the core and the margins that are blended with the neighbours, each as first and
+    /// one past the last.
     pub bounds: [[usize; 2]; 2],
-    /// Ground that is swept for it, metres of the scene's frame.
+    /// Ground that is swept for the tile, metres of the scene's frame.
     pub area: Area,
 }
 
 /// Grid of a surface model's file.
 #[derive(Debug, Clone, Copy)]
 pub struct MapRequest<'a> {
-    /// Width of a cell, metres; `None` for that of the images.
+    /// Width of a cell, metres; `None` for the ground sampling distance of the images.
     pub gsd_m: Option<f64>,
-    /// Its coordinate reference system; `None` for the local UTM zone.
+    /// Coordinate reference system; `None` for the local UTM zone.
     pub crs: Option<&'a str>,
 }
 
 impl SweepPlan {
-    /// The plan of a scene within `limit` bytes, if there is a limit.
+    /// Plan of a scene's sweep within `limit` bytes; `None` for no limit.
     ///
     /// # Errors
-    /// Where no tiles fit.
+    /// When no tiles fit into the limit, or a map coordinate cannot be transformed.
     pub fn of(
         survey: &Survey,
         config: &SatelliteConfig,
@@ -178,7 +179,7 @@ impl<'a> Cutter<'a> {
         })
     }
 
-    /// The tiles of `rows` and `cols`, and the most bytes that the process uses at a time.
+    /// Tiles of a number of `rows` and `cols`, and the largest memory of the process, bytes.
     fn tiles(&self, (rows, cols): (usize, usize)) -> Result<(Vec<SweepTile>, f64), SatelliteError> {
         let metres_per_map_cell = self.grid.transform.pixel_size().0 * self.grid.crs.metres_per_unit();
         let blended = (BLEND_CELLS * self.cell_m / metres_per_map_cell).ceil() as usize;
@@ -210,7 +211,7 @@ impl<'a> Cutter<'a> {
         Ok((tiles, peak))
     }
 
-    /// The ground that is swept for a rectangle of the map; `None` where it lies outside of the whole.
+    /// Ground that is swept for a rectangle of the map; `None` where it lies outside of the whole ground.
     fn ground(&self, [columns, rows]: &[[usize; 2]; 2]) -> Result<Option<Area>, SatelliteError> {
         let frame = self.survey.frame();
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);

@@ -1,9 +1,9 @@
-//! A plane sweep of a scene that does not fit into memory: tile by tile, into one surface model.
+//! Plane sweep of a scene that does not fit into memory: tile by tile, into one surface model.
 //!
-//! Decisions for all tiles are made once: the range of altitudes, the matching of views, and the pointing of the
-//! cameras, by tie points of patches all over the ground. Every tile reads its own windows of the images, fits its own
-//! pinhole cameras to them in the frame of the whole, and is swept on the cells of the whole. The surface models of
-//! tiles are stored on disk until all are complete, and are then blended row by row.
+//! The range of altitudes, the matching of views, and the pointing of the cameras are decided once for all tiles, from
+//! patches all over the ground. Every tile reads its windows of the images, fits pinhole cameras to them in the frame
+//! of the whole scene, and is swept on the cells of the whole. Surface models of tiles are stored on disk until all are
+//! complete, and are then blended row by row.
 
 use super::adjust;
 use super::altitude::ROUNDS;
@@ -34,47 +34,49 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-/// Patches on which the pointing of the images is estimated: one in the middle and one in each quarter.
+/// Centres of the patches on which the pointing is estimated, as shares of the ground: one in the middle and one in
+/// each quarter.
 const PATCHES: [[f64; 2]; 5] = [[0.5, 0.5], [0.25, 0.25], [0.75, 0.75], [0.75, 0.25], [0.25, 0.75]];
-/// Cells each way of a patch at most.
+/// Largest number of cells along each side of a patch.
 const PATCH_CELLS: f64 = 1000.0;
 
-/// A tiled sweep into a file.
+/// Plane sweep in tiles, written to a file.
 pub struct TiledSweep<'a> {
-    /// Its configuration.
+    /// Configuration of the run.
     pub config: &'a SatelliteConfig,
     /// Survey of the scene, without pixels.
     pub survey: &'a Survey<'a>,
-    /// Its plan.
+    /// Plan of the sweep.
     pub plan: &'a SweepPlan,
-    /// The tiles of that plan.
+    /// Tiles of that plan.
     pub tiling: &'a SweepTiling,
-    /// The geoid that heights are written above, instead of the ellipsoid.
+    /// Geoid that the heights refer to; `None` for the ellipsoid.
     pub geoid: Option<Geoid>,
 }
 
 /// Summary of a tiled sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Written {
-    /// Tiles that were swept.
+    /// Number of tiles that were swept.
     pub tiles: usize,
-    /// Share of the map whose altitude is known.
+    /// Share of the map's cells with known altitude, 0..1.
     pub completeness: f64,
-    /// A wider range of altitudes, where the surface touches a limit of the one searched that tie points gave, metres.
+    /// Wider range of altitudes, metres above the ellipsoid, where the surface touches a limit of a range from tie
+    /// points; `None` otherwise.
     pub wider_m: Option<(f64, f64)>,
 }
 
-/// Decisions for all tiles.
+/// Decisions that apply to all tiles.
 struct Decided {
     decisions: Decisions,
     matching: MatchingParameters,
-    /// Corrections of the images' pointing by image name, pixels.
+    /// Pointing corrections (columns, rows; pixels) by image name.
     shifts_px: BTreeMap<String, [f32; 2]>,
     /// Names of the images that are left out.
     left_out: Vec<String>,
 }
 
-/// A tile of the surface.
+/// Surface of a tile, with its counts.
 struct Swept {
     piece: Piece,
     at_limits: AtLimits,
@@ -82,7 +84,7 @@ struct Swept {
 }
 
 impl TiledSweep<'_> {
-    /// Sweeps all tiles and writes the surface model, whole or not at all.
+    /// Sweeps all tiles and writes the surface model to `out`; no incomplete file is left.
     ///
     /// # Errors
     /// When the scene is invalid, too few images show any of it, the file cannot be written, or the user stops it.
@@ -93,7 +95,7 @@ impl TiledSweep<'_> {
         let progress = session.progress("sweep", self.tiling.tiles.len() as u64);
         let mut pieces = Vec::with_capacity(self.tiling.tiles.len());
         let mut at_limits = AtLimits::default();
-        // Counted twice where tiles overlap.
+        // Cells where tiles overlap are counted twice.
         let mut lowered = Lowered::default();
         let count = self.tiling.tiles.len();
         for (index, tile) in self.tiling.tiles.iter().enumerate() {
@@ -127,7 +129,7 @@ impl TiledSweep<'_> {
         })
     }
 
-    /// Blends the tiles into the file; returns the share of the map that is known.
+    /// Blends the tiles into the file; returns the share of the map's cells with known altitude.
     fn blended(&self, pieces: &[StoredPiece], out: &Path) -> Result<f64, SatelliteError> {
         let _part = stage("products");
         let grid = &self.tiling.grid;
@@ -144,14 +146,14 @@ impl TiledSweep<'_> {
             known += raster.plane(0).iter().filter(|z| z.is_finite()).count();
             file.write_rows(first, &raster)?;
         }
-        // Without any known cell no file is written.
+        // Without any known cell, no file is written.
         if known > 0 {
             file.finish()?;
         }
         Ok(known as f64 / (grid.width * grid.height).max(1) as f64)
     }
 
-    /// Sweeps a tile; `None` where two images do not show it.
+    /// Sweeps a tile; `None` where fewer than two images show it.
     fn tile(&self, tile: &SweepTile, decided: &Decided) -> Result<Option<Swept>, SatelliteError> {
         let Some(scene) = self.open(&tile.area)? else {
             return Ok(None);
@@ -195,7 +197,7 @@ impl TiledSweep<'_> {
         }))
     }
 
-    /// Reads the images of a part of the ground; `None` where fewer than two show it.
+    /// Reads the images of a part of the ground; `None` where fewer than two images show it.
     fn open(&self, part: &Area) -> Result<Option<Scene>, SatelliteError> {
         let _part = stage("read");
         let Survey { index, cut, .. } = self.survey;
@@ -207,8 +209,8 @@ impl TiledSweep<'_> {
         }
     }
 
-    /// The sweep of a tile: viewing directions are those in the middle of the whole, so that all tiles have the same
-    /// height hypotheses.
+    /// Request for the sweep of a tile. Viewing directions are those at the centre of the whole ground, so that all
+    /// tiles have the same height hypotheses.
     fn request(&self, ground: &GroundViews, matching: MatchingParameters) -> PlaneSweepRequest {
         let whole = volume(&self.tiling.whole, ground.up_m, self.plan.cell_m);
         PlaneSweepRequest {
@@ -217,7 +219,7 @@ impl TiledSweep<'_> {
         }
     }
 
-    /// Makes the decisions for all tiles, on patches all over the ground.
+    /// Decides for all tiles, from patches all over the ground.
     fn decide(&self) -> Result<Decided, SatelliteError> {
         let mut found: Option<(usize, Decisions, MatchingParameters)> = None;
         let mut shifts_by_image: BTreeMap<String, Vec<[f32; 2]>> = BTreeMap::new();
@@ -234,7 +236,7 @@ impl TiledSweep<'_> {
                 }
             };
             let Some(matching) = decisions.matching else { continue };
-            // The patch with the most images decides the matching.
+            // The matching is that of the patch with the most images.
             let images = ground.images.len();
             if found.as_ref().is_none_or(|(most, ..)| images > *most) {
                 found = Some((images, decisions.clone(), matching));
@@ -289,7 +291,7 @@ impl TiledSweep<'_> {
         })
     }
 
-    /// The patches on which the pointing is estimated, none larger than a tile.
+    /// Patches on which the pointing is estimated; none is larger than a tile.
     fn patches(&self) -> impl Iterator<Item = Area> {
         let SweepTiling { whole, size, .. } = self.tiling;
         let (wide_m, high_m) = (whole.east_m - whole.west_m, whole.north_m - whole.south_m);
@@ -308,7 +310,7 @@ impl TiledSweep<'_> {
     }
 }
 
-/// The middle of several shifts, along each axis.
+/// Median of several shifts along each axis, pixels.
 fn middle(shifts: &[[f32; 2]]) -> [f32; 2] {
     [0, 1].map(|axis| {
         let mut values: Vec<f32> = shifts.iter().map(|shift| shift[axis]).collect();
@@ -316,5 +318,5 @@ fn middle(shifts: &[[f32; 2]]) -> [f32; 2] {
     })
 }
 
-/// Most times that a range of altitudes which tie points gave is widened and all is swept again.
+/// Most times that a range of altitudes from tie points is widened and the ground swept again.
 pub const MOST_ROUNDS: usize = ROUNDS;

@@ -1,8 +1,8 @@
-//! A satellite training from a scene to a finished run, stage by stage:
+//! Training of a satellite scene to a finished run, stage by stage:
 //!
 //! read (the caller's [`Scene`]) → decide ([`Decisions`]) → start ([`preprocess`](crate::preprocess), `initial`) →
 //! fit ([`FitRequest`]) → save ([`run_file`]) → products (`dsm.tif`) → evaluate ([`measure`]).
-//! The page of the run is the caller's again, who has the pictures.
+//! The caller writes the page of the run, since it has the pictures.
 
 use crate::config::SatelliteConfig;
 use crate::error::SatelliteError;
@@ -32,8 +32,8 @@ use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Trains a model of `scene` and writes its run: model, configuration, DSM, and where there is truth its errors.
-/// `ingest` is how the scene was read, which the run keeps.
+/// Trains a model of `scene` and writes its run: model, configuration, DSM, and errors where there is truth. `ingest`
+/// is the request that the scene was read with; the run stores it.
 ///
 /// # Errors
 /// When a limit is exceeded, a file of the scene is invalid, the user stops the training, or a file cannot be written.
@@ -44,9 +44,8 @@ pub fn train(
     request: &TrainRequest,
     session: &Session,
 ) -> Result<TrainOutcome<LoadedModel>, SatelliteError> {
-    // The surface model needs a map: better to learn before training that PROJ has none.
+    // The surface model needs a map; a missing PROJ database would otherwise fail only after training.
     Crs::utm(scene.frame.origin)?;
-    // Decide.
     let part = stage("decide");
     let decisions = Decisions::of(scene, config);
     let config = decisions.resolved(config);
@@ -69,7 +68,6 @@ pub fn train(
         checkpoint,
         closing,
     } = folder;
-    // Start and fit.
     let fit = FitRequest {
         scene,
         config: &config,
@@ -89,7 +87,6 @@ pub fn train(
     if ending == Ending::Interrupted {
         ending.check(&request.out)?;
     }
-    // Save.
     let part = stage("save");
     let file = model_file(scene, &fitted);
     let run = RunFile {
@@ -113,7 +110,6 @@ pub fn train(
         file,
         frame: scene.frame,
     };
-    // Products.
     drop(part);
     let part = stage("products");
     let nadir = NadirGrid::new(&(&whole).into(), whole.file.gsd_m, None)?;
@@ -122,7 +118,6 @@ pub fn train(
     let surface = dsm::of_model(&nadir, &model)?;
     let changes = ChangeMap::of(&whole, &nadir, &surface);
     write_surfaces(&request.out, &surface, changes.as_ref(), model.file.gsd_m)?;
-    // Evaluate.
     drop(part);
     let part = stage("evaluate");
     let (start, metrics) = timeline::concurrently(
@@ -146,7 +141,7 @@ pub fn train(
     })))
 }
 
-/// Writes the surface model and the changes, each with its picture, in parallel, since packing a file uses one core.
+/// Writes the surface model and the changes, each with its picture; in parallel, since packing a file uses one core.
 fn write_surfaces(out: &Path, surface: &Dsm, changes: Option<&ChangeMap>, gsd_m: f64) -> Result<(), RasterError> {
     let changed = |write: &dyn Fn(&ChangeMap) -> Result<(), RasterError>| changes.map_or(Ok(()), write);
     let files: [&(dyn Fn() -> Result<(), RasterError> + Sync); 4] = [
@@ -158,7 +153,7 @@ fn write_surfaces(out: &Path, surface: &Dsm, changes: Option<&ChangeMap>, gsd_m:
     files.par_iter().try_for_each(|write| write())
 }
 
-/// The images, hashed, or what was read of them; `cut` is theirs, with the identities of their files.
+/// Images with hashes of their files or of the pixels read; `cut` contains the identities of the files.
 fn inputs_of(scene: &Scene, cut: &KeptCut) -> Vec<Input> {
     let mut inputs = Vec::new();
     for image in &scene.images {
@@ -176,7 +171,7 @@ fn inputs_of(scene: &Scene, cut: &KeptCut) -> Vec<Input> {
     inputs
 }
 
-/// The cut of a scene with the identities of its files; those of an earlier run in `out` are not computed again.
+/// Cut of a scene with the identities of its files; identities of an earlier run in `out` are reused.
 fn identified(scene: &Scene, out: &Path) -> Result<KeptCut, SceneError> {
     let mut hashes = Hashes::default();
     if let Ok(before) = run_file::cut_of(out) {
@@ -187,7 +182,7 @@ fn identified(scene: &Scene, out: &Path) -> Result<KeptCut, SceneError> {
     Ok(cut)
 }
 
-/// Identity of a training, line by line: equal lines mean the same training, wherever the files are.
+/// Identity of a training, in lines: equal lines are the same training, wherever the files are.
 fn identity(
     scene: &Scene,
     config: &SatelliteConfig,
@@ -232,7 +227,7 @@ fn identity(
     Ok(text)
 }
 
-/// Values of the image whose colour is the model's.
+/// Values of the reference image, whose colour is the model's.
 fn reference_values(scene: &Scene, fitted: &Fitted) -> Values {
     let name = fitted.images.get(fitted.model.options.reference);
     let image = scene.images.iter().find(|image| Some(&image.name) == name);

@@ -1,4 +1,4 @@
-//! From a scene's images to the engine's views.
+//! Conversion of a scene's images to views of the engine.
 
 use crate::clouds;
 use heliosplat::light::Light;
@@ -7,8 +7,9 @@ use heliosplat_scene::crop::{Crop, camera, direction};
 use heliosplat_scene::{ImageSun, SceneImage, saturation};
 use std::sync::Arc;
 
-/// The view of an image under `sun`, without its `clouds`; under an unknown sun everything counts as lit; `appearance`
-/// is its index among the images with a colour of their own. Every known pixel has weight one.
+/// View of an image under `sun` without its `clouds`, for the engine. Under an unknown sun everything counts as lit.
+/// `shift_px` moves the camera (columns, rows); `appearance` is the index among the images with colours. Every known
+/// pixel has weight one.
 pub(crate) fn view(
     image: &SceneImage,
     sun: &ImageSun,

@@ -1,4 +1,4 @@
-//! A piece of a scene's ground, and the window of each image that shows it.
+//! A requested area of a scene's ground, and the window of each image that shows it.
 
 use super::{Area, SceneError};
 use heliosplat_delivery::IndexImage;
@@ -6,23 +6,23 @@ use heliosplat_raster::{Crs, CrsTransform, Window};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 use nalgebra::Vector3;
 
-/// Margin of ground that is read around an area, metres: the margin of a model, and the error of the pointing.
+/// Margin around an area that is read with it, metres: the margin of a model and the pointing error of the cameras.
 const MARGIN_M: f64 = 12.0;
-/// Pixels around that.
+/// Further margin around the window, pixels.
 const MARGIN_PX: f64 = 16.0;
-/// Fewest columns or rows of a window.
+/// Least number of columns or rows of a window.
 const LEAST_PX: usize = 32;
-/// Points per edge of a rectangle that is taken from one system to another: its edges may be curved there.
+/// Points per edge of a rectangle for a transformation between coordinate systems, since edges may become curved.
 const POINTS_PER_EDGE: usize = 8;
 
-/// A requested rectangle of ground.
+/// Requested rectangle of ground.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AreaRequest {
-    /// West, south, east, north; in degrees west is above east where it crosses the antimeridian, as in GeoJSON (RFC
-    /// 7946, 5.2).
+    /// West, south, east, north in units of `crs`. In degrees, west is above east for a rectangle across the
+    /// antimeridian, as in GeoJSON (RFC 7946, 5.2).
     pub bounds: [f64; 4],
-    /// Their coordinate reference system; absent: longitude and latitude, degrees.
+    /// Coordinate reference system of the bounds; `None` for longitude and latitude, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crs: Option<String>,
 }
@@ -36,13 +36,14 @@ impl std::fmt::Display for AreaRequest {
 }
 
 impl AreaRequest {
-    /// Checks that it is a rectangle on Earth.
+    /// Checks that the bounds are a rectangle on Earth.
     ///
     /// # Errors
-    /// A sentence with the reason.
+    /// One sentence with the reason.
     pub fn check(&self) -> Result<(), String> {
         let [west, south, east, north] = self.bounds;
-        // Across the antimeridian west is above east; with all of the Earth's circumference the two would be confused.
+        // Across the antimeridian west is above east; this is distinguishable from swapped bounds only for less than
+        // half of the Earth's circumference.
         let crosses = self.crs.is_none() && west > east && self.unwrapped()[2] - west <= 180.0;
         let apart = west < east || crosses;
         if !(apart && south < north && self.bounds.iter().all(|v| v.is_finite())) {
@@ -62,7 +63,7 @@ impl AreaRequest {
         Ok(())
     }
 
-    /// Its bounds with the east above the west: above 180 degrees where it crosses the antimeridian.
+    /// Bounds with east above west: above 180 degrees for a rectangle across the antimeridian.
     fn unwrapped(&self) -> [f64; 4] {
         let [west, south, east, north] = self.bounds;
         match self.crs.is_none() && west > east {
@@ -71,7 +72,7 @@ impl AreaRequest {
         }
     }
 
-    /// Longitudes and latitudes (degrees) of points along its edges.
+    /// Longitudes and latitudes of points along the edges, degrees.
     fn outline(&self) -> Result<Vec<[f64; 2]>, SceneError> {
         let [west, south, east, north] = self.unwrapped();
         let transform = match &self.crs {
@@ -94,7 +95,7 @@ impl AreaRequest {
         Ok(points)
     }
 
-    /// Its middle, at a height in metres.
+    /// Centre of the rectangle at a height, metres above the ellipsoid.
     pub(super) fn place(&self, height_m: f64) -> Result<GeoPoint, SceneError> {
         let [west, south, east, north] = self.unwrapped();
         let (x, y) = (0.5 * (west + east), 0.5 * (south + north));
@@ -109,7 +110,7 @@ impl AreaRequest {
         })
     }
 
-    /// The bounding rectangle in a local frame.
+    /// Bounding rectangle in a local frame, metres.
     pub(super) fn area(&self, frame: &LocalFrame) -> Result<Area, SceneError> {
         let mut area = Area {
             west_m: f64::INFINITY,
@@ -148,7 +149,7 @@ impl std::fmt::Display for Area {
 }
 
 impl Area {
-    /// The intersection of two areas; `None` when it is less than a metre wide.
+    /// Intersection of two areas; `None` where it is less than a metre wide.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         let shared = Self {
             west_m: self.west_m.max(other.west_m),
@@ -160,8 +161,8 @@ impl Area {
     }
 }
 
-/// The window of an image that shows an area between two ellipsoidal altitudes (metres), with a margin; `None` when the
-/// image shows nothing of it.
+/// Window of an image that shows an area between two altitudes (metres above the ellipsoid), with a margin; `None`
+/// where the image does not show the area.
 pub(super) fn window_over(
     image: &IndexImage,
     frame: &LocalFrame,
@@ -184,7 +185,7 @@ pub(super) fn window_over(
     }
     let (width, height) = image.size;
     let along = |axis: usize, size: usize| {
-        // `as` saturates: a window that begins before the image is cut at its first pixel.
+        // `as` saturates: a window that begins before the image is clipped at the first pixel.
         let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
         let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
         (first, end.saturating_sub(first))

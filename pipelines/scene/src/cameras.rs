@@ -1,5 +1,5 @@
-//! The training images of a scene whose altitude range is unknown: their cameras, the ground that two of them may
-//! share, and downscaled pixels. This suffices to estimate the altitudes of the surface.
+//! Training images of a scene with unknown altitude range: their cameras, the ground that two of them may share, and
+//! downscaled pixels, which suffice to estimate the altitudes of the surface.
 
 use super::cut::{footprint_of, gsd_m, localise, whole};
 use super::footprint::Footprint;
@@ -10,21 +10,21 @@ use heliosplat_raster::Window;
 use heliosplat_rpc::{LocalFrame, Rpc};
 use nalgebra::{Vector2, Vector3};
 
-/// Altitudes at which the ground that two images share is computed.
+/// Number of altitudes at which the shared ground of two images is computed.
 const ALTITUDES: usize = 33;
-/// Pixels around the shared ground that are read with it.
+/// Margin around the shared ground that is read with it, pixels.
 const MARGIN_PX: f64 = 16.0;
-/// Fewest columns or rows for a match.
+/// Least number of columns or rows for a match.
 const LEAST_PX: usize = 32;
 
-/// The training images of an index.
+/// Training images of an index, with their cameras.
 pub struct SceneCameras<'a> {
     images: Vec<&'a IndexImage>,
     /// A frame near the scene.
     frame: LocalFrame,
-    /// The requested piece of ground, corners in that frame, metres.
+    /// Corners of the requested area in that frame, metres.
     wanted: Option<Footprint>,
-    /// The range of altitudes that would be used without tie points.
+    /// Range of altitudes used without tie points, metres above the ellipsoid.
     pub range: AltitudeRange,
 }
 
@@ -32,7 +32,7 @@ impl<'a> SceneCameras<'a> {
     /// The cameras of an index.
     ///
     /// # Errors
-    /// As [`super::Cut::of`].
+    /// Those of [`super::Cut::of`].
     pub fn new(index: &'a Index, options: &IngestOptions) -> Result<Self, SceneError> {
         let range = index.altitudes(options.altitude_range_m, None, &mut Vec::new())?;
         let images: Vec<&IndexImage> = index.training().collect();
@@ -73,12 +73,12 @@ impl<'a> SceneCameras<'a> {
         self.images.len()
     }
 
-    /// The rational camera of an image, in the pixel coordinates of its file.
+    /// Rational camera of an image, in pixels of its file.
     pub fn rpc(&self, image: usize) -> &Rpc {
         &self.images[image].rpc
     }
 
-    /// True if two images are of one UTC day, as far as their times are known.
+    /// True if both images have a time, on one UTC day.
     pub fn same_day(&self, first: usize, second: usize) -> bool {
         let day = |image: usize| {
             let time = self.images[image].acquisition.time;
@@ -87,20 +87,20 @@ impl<'a> SceneCameras<'a> {
         day(first).is_some() && day(first) == day(second)
     }
 
-    /// Ground distance between the pixels of an image at an altitude (metres above the ellipsoid), metres.
+    /// Ground sampling distance at an image's centre and an altitude (metres above the ellipsoid), metres.
     ///
     /// # Errors
-    /// When its camera does not see that altitude.
+    /// When the camera does not see that altitude.
     pub fn gsd_m(&self, image: usize, altitude_m: f64) -> Result<f64, SceneError> {
         let image = self.images[image];
         gsd_m(image, &whole(image), &self.frame, altitude_m)
     }
 
-    /// Displacement east and north of the ground point of an image's centre per metre of altitude, between two
-    /// altitudes, metres.
+    /// Displacement of the ground point of an image's centre per metre of altitude, metres east and north, between two
+    /// altitudes (metres above the ellipsoid).
     ///
     /// # Errors
-    /// When its camera does not reach one of them.
+    /// When the camera does not reach one of the altitudes.
     pub fn parallax(&self, image: usize, (low_m, high_m): (f64, f64)) -> Result<[f64; 2], SceneError> {
         let image = self.images[image];
         let (width, height) = image.size;
@@ -112,8 +112,8 @@ impl<'a> SceneCameras<'a> {
         Ok(moved.into())
     }
 
-    /// The windows of two images that show common ground at some altitude of a range, with a margin; `None` where there
-    /// is none.
+    /// Windows of two images that show common ground at some altitude of a range (metres above the ellipsoid), with a
+    /// margin; `None` where there is none.
     ///
     /// # Errors
     /// When a camera does not reach one of the altitudes.
@@ -148,7 +148,7 @@ impl<'a> SceneCameras<'a> {
             let (low, high): ([f64; 2], [f64; 2]) = limits[index];
             let (width, height) = pair[index].size;
             let along = |axis: usize, size: usize| {
-                // `as` saturates: a window that begins before the image is cut at its first pixel.
+                // `as` saturates: a window that begins before the image is clipped at the first pixel.
                 let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
                 let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
                 (first, end.saturating_sub(first))
@@ -165,11 +165,11 @@ impl<'a> SceneCameras<'a> {
         Ok(window(0).zip(window(1)).map(|(a, b)| [a, b]))
     }
 
-    /// The mean of the bands of a window of an image, `factor` by `factor` pixels averaged into one; `NaN` where
-    /// nothing is known or a mask beside the image states that it is not usable.
+    /// Mean of the bands of a window of an image, averaged down by `factor` along each axis; `NaN` for pixels without
+    /// data and those that a mask beside the image states to be unusable.
     ///
     /// # Errors
-    /// When the pixels cannot be read.
+    /// When the pixels or the mask cannot be read.
     pub fn read_reduced(&self, image: usize, window: Window, factor: usize) -> Result<Raster, SceneError> {
         let image = self.images[image];
         let raster = image.file().read_reduced(window, factor, &image.bands.file_bands)?;

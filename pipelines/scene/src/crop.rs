@@ -1,4 +1,4 @@
-//! A view of an image: the crop that shows an area, its camera in f32, its sun, and its date.
+//! View of an image: the crop that shows an area, its camera, its sun and its pass.
 
 use crate::{Area, ImageSun, Scene, SceneImage};
 use glam::{DVec3, Vec3};
@@ -9,25 +9,25 @@ use jiff::Timestamp;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Pixels kept around the area, so that losses with a window and splats that straddle the edge see their surroundings.
+/// Margin around the area, pixels: losses with a window, and splats across the edge, need the surroundings.
 const MARGIN_PX: f64 = 8.0;
 
-/// A rectangle of an image, pixels.
+/// Rectangle of an image, pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Crop {
     /// First column.
     pub col0: usize,
     /// First row.
     pub row0: usize,
-    /// Columns.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
 }
 
 impl Crop {
-    /// The smallest rectangle of an image that shows all of `area` between two altitudes (metres, scene frame); `None`
-    /// when the image shows none of it.
+    /// Smallest rectangle of an image, with a margin, that shows all of `area` between two altitudes (metres of the
+    /// scene's frame); `None` where the image shows none of it.
     pub fn of(image: &SceneImage, area: &Area, up_m: (f64, f64)) -> Option<Self> {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for x in [area.west_m, area.east_m] {
@@ -52,7 +52,7 @@ impl Crop {
         })
     }
 
-    /// The pixels of the rectangle; `NaN` where it reaches beyond the raster.
+    /// Pixels of the rectangle; `NaN` outside of the raster.
     pub fn cut(&self, raster: &Raster) -> Raster {
         let mut out = Raster::filled(self.width, self.height, raster.bands, f32::NAN);
         for band in 0..raster.bands {
@@ -66,7 +66,7 @@ impl Crop {
         out
     }
 
-    /// The pixels of the rectangle, without a copy if it is the whole image.
+    /// Pixels of the rectangle, without a copy where it is the whole raster.
     pub fn shared(&self, raster: &Arc<Raster>) -> Arc<Raster> {
         match *self == Self::whole(raster) {
             true => raster.clone(),
@@ -84,7 +84,8 @@ impl Crop {
     }
 }
 
-/// The engine's camera of a rectangle of the image that `map` sees, its projections moved by `shift_px`.
+/// Camera of the engine for a rectangle of the image of `map`, with projections moved by `shift_px` (columns, rows;
+/// pixels).
 pub fn camera(map: &ProjectiveMap, crop: &Crop, shift_px: [f32; 2]) -> ProjectiveCamera {
     let moved = |row: [f64; 4], by: f64| {
         // (u·p + u0)/(1 + w·p) + by = ((u + by·w)·p + u0 + by)/(1 + w·p)
@@ -100,29 +101,29 @@ pub fn camera(map: &ProjectiveMap, crop: &Crop, shift_px: [f32; 2]) -> Projectiv
     ProjectiveCamera::new(u, v, map.w, (crop.width, crop.height), -DVec3::Z)
 }
 
-/// Unit vector toward a sun, scene frame; `None` where it is unknown.
+/// Unit vector toward a sun in the scene's frame; `None` where the sun is unknown.
 pub fn direction(sun: &ImageSun) -> Option<Vec3> {
     let direction = sun.position?.direction_enu();
     Some(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32))
 }
 
-/// Images taken within this time are of one pass under one light, seconds. A satellite 600 km up sees a place from 45
-/// degrees before the nadir to 45 degrees behind it in some three minutes; in five the sun moves 1.25 degrees, and the
-/// shadow of a house by less than a pixel.
+/// Largest time between two images of one pass, seconds; they have one light. A satellite 600 km up sees a place from
+/// 45 degrees before the nadir to 45 degrees behind it in some three minutes; in five the sun moves 1.25 degrees, and
+/// the shadow of a house by less than a pixel.
 const PASS_S: i64 = 300;
-/// Suns of images without times that are closer than this are one light, degrees of arc: as far as the sun moves during
-/// a pass.
+/// Largest angle between the suns of one pass for images without times, degrees of arc: the sun's movement during a
+/// pass.
 const ONE_SUN_DEG: f64 = 1.25;
 
-/// Number of the pass of each image; images of one pass are under one light: taken within five minutes of the first of
-/// them, or, without times, under suns within 1.25 degrees of that of the first. An image without time and sun is a
-/// pass of its own, since its light is unknown. Numbers ascend in the order of the images.
+/// Number of the pass of each image. Images of one pass have one light: they were taken within five minutes of the
+/// pass's first image or, without times, under suns within 1.25 degrees of the first image's sun. An image without time
+/// and sun is a separate pass, since its light is unknown. Numbers ascend in the order of the images.
 pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
     let lights: Vec<_> = images.iter().map(|image| (image.time, image.sun.position)).collect();
     lights_in_groups(&lights)
 }
 
-/// Groups of images of one light, by their times and suns.
+/// Number of the pass of each image, as [`date_groups`], from times and suns.
 pub fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> Vec<u32> {
     let mut in_time: Vec<(Timestamp, usize)> = lights
         .iter()
@@ -130,7 +131,7 @@ pub fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> 
         .filter_map(|(place, light)| Some((light.0?, place)))
         .collect();
     in_time.sort();
-    // Each image's group is named by its first image for now.
+    // First image of each image's group, as a provisional name of the group.
     let mut first: Vec<usize> = (0..lights.len()).collect();
     let mut pass: Option<(Timestamp, usize)> = None;
     for (time, place) in in_time {
@@ -161,13 +162,13 @@ pub fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> 
         .collect()
 }
 
-/// Altitudes of a scene relative to its frame's origin, metres.
+/// Lowest and highest altitude of a scene relative to the origin of its frame, metres.
 pub fn altitude_range(scene: &Scene) -> (f64, f64) {
     let origin = scene.origin().height_m;
     (scene.altitude_range_m.0 - origin, scene.altitude_range_m.1 - origin)
 }
 
-/// `area` grown by `margin_m` on all sides.
+/// `area` grown by `margin_m` (metres) on all sides.
 pub fn grown(area: &Area, margin_m: f64) -> Area {
     Area {
         west_m: area.west_m - margin_m,

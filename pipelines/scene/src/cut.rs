@@ -1,4 +1,4 @@
-//! The part of a delivery that is used: its ground, its altitudes, and the window of each image. No pixels.
+//! The part of a delivery that is used: ground, altitudes, and the window of each image. No pixels are read.
 
 use super::area::{AreaRequest, window_over};
 use super::footprint::{self, Footprint};
@@ -11,42 +11,43 @@ use heliosplat_rpc::{GeoPoint, LocalFrame};
 use nalgebra::Vector3;
 use std::path::Path;
 
-/// Share of an image's pixels below which only a window of it is read.
+/// Share of an image's pixels below which only a window of it is read, where no area is requested.
 const WORTH_READING_LESS: f64 = 0.75;
-/// An overlap smaller than this many pixels on a side is none.
+/// Least overlap, pixels along each side.
 const LEAST_OVERLAP_PX: f64 = 16.0;
-/// Most bands of an image: the rasteriser also renders the sun visibility and a normal.
+/// Largest number of bands of an image: the rasteriser also renders the sun visibility and a normal.
 const MOST_BANDS: usize = MOST_CHANNELS - 1 - 3;
 
 /// The part of an [`Index`] that is used.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cut {
-    /// ENU frame: the centre of the common footprint at the middle of the altitude range.
+    /// ENU frame. Its origin is the centre of the requested area, else of the ground that all training images show, at
+    /// the middle of the altitude range.
     pub frame: LocalFrame,
-    /// Altitudes that the surface may have.
+    /// Altitudes that the surface may have, metres above the ellipsoid.
     pub altitude: AltitudeRange,
-    /// Ground, metres of the frame.
+    /// Ground of the cut, metres of the frame.
     pub area: Area,
-    /// Its images, in the order of the index.
+    /// Images of the cut, in the order of the index.
     pub images: Vec<CutImage>,
-    /// True if the cut is a part of another cut, in which case an image may have no pixels there.
+    /// True if the cut is a part of another cut; its images may then lack pixels.
     pub is_part: bool,
-    /// Counts per unit of the pixels; `None` where the pixels decide.
+    /// Counts per unit of the pixels; `None` where it follows from the pixels.
     pub counts_per_unit: Option<f64>,
 }
 
 /// The part of one image that is used.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CutImage {
-    /// Its place in the index.
+    /// Index of the image in `Index::images`.
     pub image: usize,
-    /// Pixels that are read.
+    /// Window that is read, pixels.
     pub window: Window,
     /// Train or test.
     pub split: Split,
 }
 
-/// An image of the index on its way into a cut.
+/// Candidate image of a cut.
 #[derive(Clone, Copy)]
 struct Placed<'a> {
     at: usize,
@@ -55,7 +56,8 @@ struct Placed<'a> {
 }
 
 impl Cut {
-    /// Cuts an index: the requested altitudes and area of `options`, or those of the index.
+    /// Cuts an index to the altitudes and the area of `options`, or else to the altitudes and the common ground of the
+    /// index.
     ///
     /// # Errors
     /// [`SceneError`] where bands differ, fewer than two images overlap or show the area, or the altitude range is
@@ -77,7 +79,7 @@ impl Cut {
             return Err(SceneError::TooFewViews { path, count });
         };
         let altitude_m = (limits_m.0 + limits_m.1) / 2.0;
-        // Any frame near the scene will do to find out where its centre is.
+        // Any frame near the scene suffices to find the centre.
         let (width, height) = first.image.size;
         let near = localise(first.image, width as f64 / 2.0, height as f64 / 2.0, altitude_m)?;
         let near = LocalFrame::new(near);
@@ -120,7 +122,7 @@ impl Cut {
                     }
                 });
             }
-            // Pixels beyond the ground are left out where they are a large part of an image.
+            // Pixels outside of the ground are left out where they are a large part of an image.
             None => {
                 for placed in &mut images {
                     if let Some(window) = window_over(placed.image, &frame, &area, limits_m)
@@ -150,10 +152,10 @@ impl Cut {
         Ok(cut)
     }
 
-    /// The part of the training images that shows a rectangle of the ground, metres of the frame.
+    /// Part of the training images that shows a rectangle of the ground, metres of the frame.
     ///
     /// # Errors
-    /// [`SceneError::NotCovered`] where fewer than two images show it.
+    /// [`SceneError::NotCovered`] where fewer than two training images show it.
     pub fn part(&self, index: &Index, part: &Area) -> Result<Self, SceneError> {
         let shown = self.training().filter_map(|placed| {
             let window = window_over(
@@ -174,12 +176,12 @@ impl Cut {
         Ok(cut)
     }
 
-    /// Its images to train on.
+    /// Images of the training split.
     pub fn training(&self) -> impl Iterator<Item = &CutImage> {
         self.images.iter().filter(|image| image.split == Split::Train)
     }
 
-    /// Fails where fewer than two training images remain.
+    /// Fails with [`SceneError::NotCovered`] for fewer than two training images.
     pub(super) fn must_be_shown_twice(&self, source: &Path, area: impl Fn() -> String) -> Result<(), SceneError> {
         match self.training().count() {
             0 | 1 => Err(not_covered(source, &area())),
@@ -188,7 +190,7 @@ impl Cut {
     }
 }
 
-/// The window of a whole image.
+/// Window of a whole image.
 pub(super) fn whole(image: &IndexImage) -> Window {
     let (width, height) = image.size;
     Window {
@@ -199,12 +201,12 @@ pub(super) fn whole(image: &IndexImage) -> Window {
     }
 }
 
-/// Pixels of a window.
+/// Number of pixels of a window.
 pub(super) fn pixels_of(window: &Window) -> f64 {
     window.width as f64 * window.height as f64
 }
 
-/// The ground that a pixel shows at a height above the ellipsoid, metres.
+/// Ground point of a pixel at a height above the ellipsoid, metres.
 pub(super) fn localise(image: &IndexImage, col: f64, row: f64, height_m: f64) -> Result<GeoPoint, SceneError> {
     image
         .rpc
@@ -212,7 +214,7 @@ pub(super) fn localise(image: &IndexImage, col: f64, row: f64, height_m: f64) ->
         .map_err(|source| camera_fault(image, height_m, source))
 }
 
-/// The error of a camera that does not work over its image.
+/// Error for a camera that does not work over its image.
 pub(super) fn camera_fault(image: &IndexImage, height_m: f64, source: heliosplat_rpc::RpcError) -> SceneError {
     SceneError::Camera {
         path: image.path.clone(),
@@ -221,7 +223,7 @@ pub(super) fn camera_fault(image: &IndexImage, height_m: f64, source: heliosplat
     }
 }
 
-/// Outer corners of an image on the ground, in a local frame.
+/// Outer corners of an image on the ground, metres of a local frame.
 pub(super) fn footprint_of(image: &IndexImage, frame: &LocalFrame, height_m: f64) -> Result<Footprint, SceneError> {
     let (width, height) = image.size;
     let (right, bottom) = (width as f64 - 0.5, height as f64 - 0.5);
@@ -235,7 +237,7 @@ pub(super) fn footprint_of(image: &IndexImage, frame: &LocalFrame, height_m: f64
     ))
 }
 
-/// Square root of the ground area of the pixel in the middle of a window, metres.
+/// Ground sampling distance at the centre of a window: square root of the pixel's ground area, metres.
 pub(super) fn gsd_m(image: &IndexImage, window: &Window, frame: &LocalFrame, height_m: f64) -> Result<f64, SceneError> {
     let (col, row) = (
         window.col0 as f64 + (window.width as f64 - 1.0) / 2.0,
@@ -279,7 +281,7 @@ fn not_covered(source: &Path, area: &str) -> SceneError {
     }
 }
 
-/// The error of images that share no ground, naming the first and the last of those trained on.
+/// Error for images that share no ground; names the first and the last training image.
 fn no_overlap(images: &[Placed], altitude_m: f64) -> SceneError {
     let mut training = images.iter().filter(|placed| placed.image.split == Split::Train);
     let first = training
@@ -295,7 +297,7 @@ fn no_overlap(images: &[Placed], altitude_m: f64) -> SceneError {
     }
 }
 
-/// The smallest overlap that counts, square metres.
+/// Least overlap of two footprints, square metres.
 fn least_overlap_m2(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<f64, SceneError> {
     let first = images
         .first()
@@ -303,19 +305,18 @@ fn least_overlap_m2(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> R
     Ok(LEAST_OVERLAP_PX.powi(2) * first.transpose()?.unwrap_or(0.0).powi(2))
 }
 
-/// Largest ratio of ground sampling distances among images of one kind.
+/// Largest ratio of ground sampling distances within one kind of images.
 const UNLIKE: f64 = 1.5;
 
-/// Share by which a ground sampling distance may be rounded to one significant digit.
+/// Largest relative change of a ground sampling distance when it is rounded to one significant digit.
 const ROUNDED: f64 = 0.05;
 
-/// The median of `gsds` (metres, one at least), the resolution that at least half of the images reach, rounded to one
-/// significant digit where that is nearly the same and else in two: cells of 0.5 m coincide with those of other data,
-/// those of 0.51 m do not.
+/// Median of `gsds` (metres, at least one), rounded to one significant digit where that changes it by little, else to
+/// two: cells of 0.5 m coincide with those of other data, cells of 0.51 m do not.
 ///
 /// A surface is matched from pairs, and a pair has the resolution of its coarser image: cells of a few finer images
-/// would add no detail, those of the coarsest would lose detail of most images. Of two different middle values the
-/// finer is used where two images or more have it.
+/// would add no detail, and cells of the coarsest image would lose detail of most images. If the two middle values
+/// differ, the finer one is used where at least two images have it.
 pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
     let upper = upper_median(&mut gsds).unwrap_or(f64::NAN);
     gsds.sort_by(f64::total_cmp);
@@ -325,7 +326,7 @@ pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
     } else {
         upper
     };
-    // Multiples of an integer divisor are nearer to decimals than those of a fraction.
+    // Multiples of an integer divisor are nearer to decimal numbers than multiples of a fraction.
     let in_digits = |digits: i32| {
         let per_unit = 10f64.powi(digits - 1 - median.log10().floor() as i32);
         (median * per_unit).round() / per_unit
@@ -346,7 +347,7 @@ fn training_footprints(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -
         .collect()
 }
 
-/// Leaves out images that share no ground with a training image; at least two training images must remain.
+/// Leaves out images that share no ground with a training image; fails for fewer than two remaining training images.
 fn overlapping<'a>(
     images: Vec<Placed<'a>>,
     frame: &LocalFrame,
@@ -403,9 +404,9 @@ mod tests {
         assert_eq!(nominal_gsd_m(vec![0.5, 1.0, 0.5, 1.0]), 0.5);
         assert_eq!(nominal_gsd_m(vec![0.3, 2.0, 2.0]), 2.0);
         assert_eq!(nominal_gsd_m(vec![0.3, 2.0, 0.3]), 0.3);
-        // One fine image alone shows no surface.
+        // A single fine image does not determine a surface.
         assert_eq!(nominal_gsd_m(vec![0.3, 2.0]), 2.0);
-        // One camera that looks aslant is no other kind of image.
+        // An oblique image is of the same kind as the others.
         assert_eq!(nominal_gsd_m(vec![0.5, 0.5, 0.6, 0.6]), 0.6);
     }
 }

@@ -1,13 +1,13 @@
-//! Footprints on the ground: convex polygons, their intersections, and the ground covered by two views.
+//! Footprints on the ground: convex polygons, their intersections, and the ground that two views cover.
 
 use super::Area;
 
-/// A convex polygon in the plane, corners in order, metres.
+/// Convex polygon in the plane; corners in order, metres.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Footprint(Vec<[f64; 2]>);
 
 impl Footprint {
-    /// From corners in either order of turning.
+    /// Polygon from its corners, clockwise or anticlockwise.
     pub(super) fn new(mut corners: Vec<[f64; 2]>) -> Self {
         if signed_area(&corners) < 0.0 {
             corners.reverse();
@@ -15,17 +15,17 @@ impl Footprint {
         Self(corners)
     }
 
-    /// Its corners in order, metres.
+    /// Corners in order, metres.
     pub(super) fn corners(&self) -> &[[f64; 2]] {
         &self.0
     }
 
-    /// Square metres.
+    /// Area, square metres.
     pub(super) fn area_m2(&self) -> f64 {
         signed_area(&self.0)
     }
 
-    /// The part inside `other` (Sutherland and Hodgman 1974), which may be empty.
+    /// Intersection with `other` by the algorithm of Sutherland and Hodgman (1974); it may be empty.
     pub(super) fn intersection(&self, other: &Self) -> Self {
         let mut kept = self.0.clone();
         for (index, &a) in other.0.iter().enumerate() {
@@ -51,7 +51,7 @@ impl Footprint {
         Self(kept)
     }
 
-    /// True if a point lies inside.
+    /// True for a point (metres) inside the polygon.
     pub(super) fn contains(&self, point: [f64; 2]) -> bool {
         let count = self.0.len();
         count > 2
@@ -61,13 +61,13 @@ impl Footprint {
             })
     }
 
-    /// Centre of area; `None` for an empty polygon.
+    /// Centroid, metres; `None` for an empty polygon.
     pub(super) fn centre(&self) -> Option<[f64; 2]> {
         let twice = 2.0 * self.area_m2();
         if self.0.len() < 3 || twice <= 0.0 {
             return None;
         }
-        // Relative to the first corner, so that far-away polygons do not lose digits.
+        // Coordinates relative to the first corner keep their precision far from the origin.
         let origin = self.0[0];
         let mut sum = [0.0; 2];
         for (index, p) in self.0.iter().enumerate() {
@@ -112,7 +112,8 @@ fn signed_area(corners: &[[f64; 2]]) -> f64 {
     twice / 2.0
 }
 
-/// Bounding rectangle of the ground that at least two footprints cover; `None` when no two overlap by `least_m2`.
+/// Bounding rectangle of the ground that at least two footprints cover, metres; `None` where no two overlap by
+/// `least_m2` (square metres).
 pub(super) fn covered_twice(footprints: &[Footprint], least_m2: f64) -> Option<Area> {
     let mut area = None;
     for (index, first) in footprints.iter().enumerate() {
@@ -126,7 +127,7 @@ pub(super) fn covered_twice(footprints: &[Footprint], least_m2: f64) -> Option<A
     area
 }
 
-/// The ground all footprints cover, which may be empty.
+/// Ground that all footprints cover; it may be empty.
 pub(super) fn common(footprints: &[Footprint]) -> Footprint {
     let mut footprints = footprints.iter();
     let first = footprints.next().cloned().unwrap_or(Footprint(Vec::new()));

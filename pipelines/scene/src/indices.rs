@@ -1,29 +1,32 @@
-//! Indices of bands, and where on them vegetation begins.
+//! Indices of bands, and their thresholds for vegetation.
 
 use super::BandKind;
 
-/// Least vegetation index of vegetation.
+/// Least normalised difference vegetation index of vegetation.
 pub const VEGETATION_INDEX: f32 = 0.3;
 /// Least excess green of vegetation.
 pub const VEGETATION_GREEN: f32 = 0.08;
 
-/// Least sum of values with a meaningful index.
+/// Least sum of two values with a meaningful index.
 const DARKEST: f32 = 1e-3;
 
-/// `(a - b) / (a + b)` of two bands, near zero where both are dark: of near infrared and red the normalised difference
-/// vegetation index (Rouse et al. 1974), of green and near infrared the water index (McFeeters 1996). Of reflectance
-/// where gains are known, else of the values as they are.
+/// Normalised difference `(a - b) / (a + b)` of two bands, near zero where both are dark: the vegetation index of near
+/// infrared and red (Rouse et al. 1974), or the water index of green and near infrared (McFeeters 1996). It is computed
+/// from reflectance where gains are known, else from the values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NormalisedDifference {
     first: Term,
     second: Term,
 }
 
-/// A band of an index, and the conversion of its values.
+/// Band of an index, with the conversion of its values: `scale · value + offset`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Term {
+    /// Place of the band, from 0.
     pub(super) band: usize,
+    /// Factor of the value.
     pub(super) scale: f32,
+    /// Offset of the result.
     pub(super) offset: f32,
 }
 
@@ -32,7 +35,7 @@ impl NormalisedDifference {
         Self { first, second }
     }
 
-    /// The index of a pixel; `value` returns the value of a band.
+    /// Value of the index for one pixel; `value` returns the value of a band by its place.
     #[inline]
     pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
         let [a, b] = [self.first, self.second].map(|term| term.scale * value(term.band) + term.offset);
@@ -41,22 +44,22 @@ impl NormalisedDifference {
 }
 
 /// Excess green `(2g - r - b) / (r + g + b)` of red, green and blue, near zero where all are dark (Woebbecke et al.,
-/// Color indices for weed identification, Transactions of the ASAE 38, 1995). Red and blue may be swapped.
+/// Color indices for weed identification, Transactions of the ASAE 38, 1995). Red and blue are interchangeable.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExcessGreen {
-    /// Places of red, green and blue.
+    /// Places of red, green and blue among the bands, from 0.
     places: [usize; 3],
 }
 
 impl ExcessGreen {
-    /// The index for bands of these kinds; `None` where a colour is missing.
+    /// Excess green for bands of these kinds; `None` where a colour is missing.
     pub fn new(bands: &[BandKind]) -> Option<Self> {
         let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
         let places = [place(BandKind::Red)?, place(BandKind::Green)?, place(BandKind::Blue)?];
         Some(Self { places })
     }
 
-    /// The index of a pixel; `value` returns the value of a band.
+    /// Value of the index for one pixel; `value` returns the value of a band by its place.
     #[inline]
     pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
         let [red, green, blue] = self.places.map(value);
@@ -69,12 +72,13 @@ impl ExcessGreen {
 pub enum VegetationIndex {
     /// The normalised difference vegetation index.
     Infrared(NormalisedDifference),
-    /// Excess green, where there is no near infrared: lawns and painted roofs have it too, leaves in autumn do not.
+    /// Excess green, where there is no near infrared: lawns and painted roofs have high values, autumn leaves have low
+    /// ones.
     Green(ExcessGreen),
 }
 
 impl VegetationIndex {
-    /// The index of a pixel; `value` returns the value of a band.
+    /// Value of the index for one pixel; `value` returns the value of a band by its place.
     #[inline]
     pub fn of(&self, value: impl Fn(usize) -> f32) -> f32 {
         match self {

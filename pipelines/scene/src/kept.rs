@@ -1,4 +1,4 @@
-//! The cut of a run as the run keeps it (`cut.json`): everything that decides which pixels and cameras were used.
+//! The cut stored with a run (`cut.json`): all quantities that decide which pixels and cameras were used.
 
 use super::crop::Crop;
 use super::{AltitudeRange, Area, BandKind, Cut, CutImage, RpcPreference, SceneError, SceneImage, Split};
@@ -8,57 +8,56 @@ use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// A cut that was read, with the identities of its files.
+/// A cut whose pixels were read, with the identities of its files.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct KeptCut {
-    /// Preference between two different cameras.
+    /// Preferred kind of camera, for images with several.
     pub rpc: RpcPreference,
-    /// Origin of the frame.
+    /// Origin of the ENU frame.
     pub origin: GeoPoint,
-    /// Altitudes that the surface may have.
+    /// Altitudes that the surface may have, metres above the ellipsoid.
     pub altitude: AltitudeRange,
-    /// Ground, metres of the frame.
+    /// Ground of the cut, metres of the frame.
     pub area: Area,
     /// Counts per unit of the pixels.
     pub counts_per_unit: f64,
-    /// Its images.
+    /// Images of the cut.
     pub images: Vec<KeptImage>,
 }
 
-/// An image of a cut that was read.
+/// An image of a cut whose pixels were read.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct KeptImage {
-    /// Its name.
+    /// Name of the image.
     pub name: String,
-    /// Its file, and the other files that its pixels come from.
+    /// The image file, and further files with pixels of the image.
     pub paths: Vec<PathBuf>,
-    /// Identities of the files; none where `pixels_sha256` replaces them.
+    /// Identities of these files; empty where `pixels_sha256` replaces them.
     #[serde(default)]
     pub files: Vec<FileIdentity>,
-    /// SHA-256 of the values that were read, where these are a part of the image or its file is on a virtual file
-    /// system.
+    /// SHA-256 of the values read, for an image that was read in part or from a virtual file system.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pixels_sha256: Option<String>,
     /// Train or test.
     pub split: Split,
-    /// Columns and rows.
+    /// Columns and rows of the image.
     pub size: (usize, usize),
-    /// Pixels that were read.
+    /// Window that was read, pixels.
     pub window: Crop,
-    /// Places of the bands in the file.
+    /// Indices of the bands in the file, from 0.
     pub file_bands: Vec<usize>,
-    /// Spectral bands.
+    /// Kind of each band.
     pub bands: Vec<BandKind>,
-    /// Linear counts, or values encoded for display.
+    /// Linear counts or display values.
     pub counts: Counts,
-    /// Rational camera.
+    /// Rational camera, in pixels of the file.
     pub camera: Rpc,
-    /// `image` or a file name.
+    /// Source of the camera: `image` or a file name.
     pub camera_source: String,
 }
 
 impl KeptCut {
-    /// The images of a cut as the index has them.
+    /// The images of a cut, with the data of the index.
     pub(super) fn of(index: &Index, cut: &Cut, counts_per_unit: f64) -> Self {
         let images = cut.images.iter().filter_map(|part| {
             let image = index.images.get(part.image)?;
@@ -93,9 +92,9 @@ impl KeptCut {
         }
     }
 
-    /// Notes size, time of change and hash of each file that pixels come from; known hashes are not computed again. The
-    /// `images` that were read in part, or from a virtual file system, count by their pixels: no more of a file is read
-    /// for its identity than for itself.
+    /// Stores size, modification time and hash of each file with pixels; hashes in `hashes` are reused. Of the `images`
+    /// that were read in part or from a virtual file system, the pixels are hashed instead: the rest of such a file is
+    /// not read for its identity.
     ///
     /// # Errors
     /// When a file cannot be read.
@@ -113,10 +112,10 @@ impl KeptCut {
         Ok(())
     }
 
-    /// The first of the `images` that were read again whose pixels are not those that were read before, in words.
+    /// Compares the pixels of `images`, which were read again, with the stored hashes.
     ///
     /// # Errors
-    /// A description of the first difference.
+    /// The first image with other pixels, in words.
     pub fn check_pixels(&self, images: &[SceneImage]) -> Result<(), String> {
         for kept in self.images.iter().filter(|kept| kept.pixels_sha256.is_some()) {
             let read = images.iter().find(|image| image.name == kept.name);
@@ -127,10 +126,10 @@ impl KeptCut {
         Ok(())
     }
 
-    /// The same cut of the current delivery.
+    /// The stored cut, applied to the current delivery.
     ///
     /// # Errors
-    /// The first difference in words: an image that is gone or has changed, other bands, another camera.
+    /// The first difference in words: a missing or changed image, other bands, or another camera.
     pub fn again(&self, index: &Index) -> Result<Cut, String> {
         let by_name: BTreeMap<&str, usize> = (index.images.iter().enumerate())
             .map(|(place, image)| (image.name.as_str(), place))
@@ -175,12 +174,12 @@ impl KeptCut {
 }
 
 impl KeptImage {
-    /// True if the whole image was read, from files on disk.
+    /// True for an image that was read as a whole, from files on disk.
     fn is_whole(&self) -> bool {
         (self.window.width, self.window.height) == self.size && !self.paths.iter().any(|path| is_virtual(path))
     }
 
-    /// The first difference to the current image, in words.
+    /// First difference to the current image, in words; `None` where there is none.
     fn difference(&self, now: &IndexImage) -> Option<String> {
         let path = now.path.display();
         let (width, height) = self.size;

@@ -1,17 +1,18 @@
-//! Coarse mask of an image's data, which gives visibility without the image.
+//! Coarse mask of an image's data, for visibility without the image.
 
 /// Side of a tile, pixels.
 const TILE_PX: usize = 8;
 
-/// Tiles of an image (or a crop of one), row by row, and whether most of their pixels have data.
+/// Mask of an image (or a crop of one) by tiles of 8 × 8 pixels: true where more than half of a tile's pixels have
+/// data.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct KnownTiles {
-    /// Rows of tiles, each a text of `1` (has data) and `0`.
+    /// Rows of tiles, one text each: `1` has data, `0` has none.
     rows: Vec<String>,
 }
 
 impl KnownTiles {
-    /// The tiles of an image of `width` columns from the mask of its pixels; `None` where all of them have data.
+    /// Tiles of an image of `width` columns from its mask, row by row; `None` where all pixels have data.
     pub fn of(width: usize, known: &[bool]) -> Option<Self> {
         if width == 0 || known.iter().all(|&known| known) {
             return None;
@@ -32,7 +33,7 @@ impl KnownTiles {
         })
     }
 
-    /// True if the tile of a pixel (column, row) has data; there is none outside the image.
+    /// True if the tile of a pixel (column, row) has data; false outside of the image.
     pub fn at(&self, (col, row): (usize, usize)) -> bool {
         let tiles = self.rows.get(row / TILE_PX);
         tiles.is_some_and(|tiles| tiles.as_bytes().get(col / TILE_PX) == Some(&b'1'))

@@ -40,53 +40,53 @@ use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// User settings of a scene that its files do not contain.
+/// User settings of a scene, besides its files.
 #[derive(Debug, Clone, Default)]
 pub struct IngestOptions {
-    /// Lowest and highest ellipsoidal altitude of the surface, metres.
+    /// Lowest and highest altitude of the surface, metres above the ellipsoid.
     pub altitude_range_m: Option<(f64, f64)>,
-    /// Altitudes estimated from tie points between the images; used where neither this nor a file of the scene states a
-    /// range.
+    /// Lowest and highest altitude from tie points between the images, metres above the ellipsoid; used where neither
+    /// `altitude_range_m` nor a file of the scene states a range.
     pub altitude_from_ties_m: Option<(f64, f64)>,
-    /// Preference between two different cameras.
+    /// Preferred kind of camera, for images with several.
     pub rpc: RpcPreference,
-    /// The piece of ground to model, if not all.
+    /// Area to model; `None` for all of the common ground.
     pub area: Option<AreaRequest>,
 }
 
-/// One image of a scene, with everything that was found out about it.
+/// One image of a scene: pixels, cameras, sun and metadata.
 #[derive(Debug, Clone)]
 pub struct SceneImage {
-    /// File stem: the name in every report and product.
+    /// File stem, distinct among the images: the name in every report and product.
     pub name: String,
-    /// The file.
+    /// The image file, or the first of its tiles.
     pub path: PathBuf,
     /// Train or test.
     pub split: Split,
-    /// Pixels: counts divided by a robust per-scene maximum so that most lie in 0..1, linear; NaN where nodata.
+    /// Linear pixel values, counts over `Scene::counts_per_unit`, so that most lie in 0..1; NaN where there are no
+    /// data.
     pub pixels: Arc<Raster>,
     /// Kind of each band of `pixels`.
     pub bands: Vec<BandKind>,
     /// The window of the file that was read: all of it, or the part that shows the requested area.
     pub window: Window,
-    /// Its rational camera, in the file's pixel coordinates.
+    /// Rational camera, in pixels of the file.
     pub rpc: Rpc,
     /// Source of the camera: `image` (tag, or a sidecar that GDAL reads) or a file name.
     pub rpc_source: String,
-    /// The pinhole camera fitted in the scene's frame over the window and the altitude range; it counts pixels of the
-    /// window.
+    /// Pinhole camera fitted in the scene's frame over the window and the altitude range, in pixels of the window.
     pub pinhole: PinholeFit,
     /// Acquisition time, if known.
     pub time: Option<jiff::Timestamp>,
-    /// Direction of the sun: from the time where known, else from metadata, else unknown.
+    /// Sun: computed from the time, else from the metadata, else unknown.
     pub sun: ImageSun,
-    /// The sun as metadata state it, where they do.
+    /// Sun in the metadata; `None` where they contain none.
     pub metadata_sun: Option<SunPosition>,
     /// Ground sampling distance at the image's centre, metres.
     pub gsd_m: f64,
     /// Data type of the file, as GDAL names it.
     pub data_type: String,
-    /// Meaning of its values, and the source of that.
+    /// Meaning of the values, and its source.
     pub values: Values,
 }
 
@@ -106,37 +106,39 @@ pub struct Area {
 /// Images with cameras and suns, in one local frame.
 #[derive(Debug, Clone)]
 pub struct Scene {
-    /// Folder or `scene.toml` it came from.
+    /// Folder or `scene.toml` of the scene.
     pub source: PathBuf,
-    /// Its images: those of the training split first.
+    /// Images, those of the training split first.
     pub images: Vec<SceneImage>,
-    /// ENU frame: the centre of the common footprint at the middle of the altitude range.
+    /// ENU frame. Its origin is the centre of the requested area, else of the ground that all training images show, at
+    /// the middle of the altitude range.
     pub frame: LocalFrame,
-    /// Lowest and highest ellipsoidal altitude the surface may have, metres.
+    /// Lowest and highest altitude of the surface, metres above the ellipsoid.
     pub altitude_range_m: (f64, f64),
     /// Source of the altitude range.
     pub altitude_known_from: AltitudeSource,
     /// Source of the altitude range, in words.
     pub altitude_source: String,
-    /// Ground covered by at least two training images (bounding rectangle at mid altitude).
+    /// Bounding rectangle of the ground that at least two training images show at mid altitude, within the requested
+    /// area.
     pub area: Area,
     /// Nominal ground sampling distance, metres: the median of the training images, rounded so that cells of products
-    /// are 0.5 m wide and not 0.51, and coincide with the grids of other data.
+    /// coincide with the grids of other data (0.5 m wide, not 0.51 m).
     pub gsd_m: f64,
     /// Counts per unit of `pixels`.
     pub counts_per_unit: f64,
-    /// Truth, where the scene brings it.
+    /// Truth, where the scene contains it.
     pub truth: Truth,
-    /// The cut that was read, without the identities of its files.
+    /// The cut whose pixels were read, without the identities of its files.
     pub cut: KeptCut,
-    /// Rows of the table of checks that hold; their messages are among the warnings.
+    /// Failed checks of the delivery and the scene; their messages are among the warnings.
     pub findings: Vec<Finding>,
     /// Warnings (sun mismatch, unknown bands, images skipped), one line each.
     pub warnings: Vec<String>,
 }
 
 impl Scene {
-    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS, cuts it by `options` and reads its
+    /// Opens a folder of images, a `scene.toml`, or a folder of Sat-NeRF or EOGS, cuts it by `options`, and reads its
     /// pixels.
     ///
     /// # Errors
@@ -148,7 +150,7 @@ impl Scene {
     /// Cuts an index by `options` and reads its pixels.
     ///
     /// # Errors
-    /// As [`Self::open`].
+    /// Those of [`Self::open`].
     pub fn of(index: &Index, options: &IngestOptions) -> Result<Self, SceneError> {
         let mut warnings = Vec::new();
         let cut = Cut::of(index, options, &mut warnings)?;
@@ -160,18 +162,18 @@ impl Scene {
         self.frame.origin
     }
 
-    /// The images to train on.
+    /// Images of the training split.
     pub fn training(&self) -> impl Iterator<Item = &SceneImage> {
         self.images.iter().filter(|image| image.split == Split::Train)
     }
 
-    /// The bands of every image.
+    /// Kinds of the bands of every image.
     pub fn bands(&self) -> &[BandKind] {
         self.images.first().map_or(&[], |image| &image.bands)
     }
 
-    /// Number of training images that show a point of the scene's frame (metres) inside their frame and on known
-    /// pixels, without regard to occlusion.
+    /// Number of training images that show a point of the scene's frame (metres) on a known pixel; occlusion is
+    /// ignored.
     pub fn views_covering(&self, east_m: f64, north_m: f64, up_m: f64) -> usize {
         let point = Vector3::new(east_m, north_m, up_m);
         self.training().filter(|image| image.sees(point)).count()
@@ -179,22 +181,22 @@ impl Scene {
 }
 
 impl SceneImage {
-    /// Its rational camera in the pixel coordinates of `pixels`.
+    /// Rational camera in pixels of the window.
     pub fn window_rpc(&self) -> Rpc {
         self.rpc.cropped(self.window.col0 as f64, self.window.row0 as f64)
     }
 
-    /// Its normalised difference vegetation index; `None` without red and near infrared, and of values for display.
+    /// Normalised difference vegetation index; `None` without red and near infrared, and for display values.
     pub fn ndvi(&self) -> Option<NormalisedDifference> {
         self.values.ndvi(&self.bands)
     }
 
-    /// Its index of leaves; `None` without near infrared or all three colours, and of values for display.
+    /// Index of leaves; `None` without near infrared or all three colours, and for display values.
     pub fn vegetation_index(&self) -> Option<VegetationIndex> {
         self.values.vegetation_index(&self.bands)
     }
 
-    /// True if a point of the scene's frame projects onto a known pixel.
+    /// True if a point of the scene's frame (metres) projects onto a known pixel.
     pub fn sees(&self, enu_m: Vector3<f64>) -> bool {
         let [col, row] = self.pinhole.map.project(enu_m).map(f64::round);
         let inside = col >= 0.0 && row >= 0.0 && col < self.pixels.width as f64 && row < self.pixels.height as f64;

@@ -1,4 +1,4 @@
-//! The geometry of pairs of images: base-to-height ratio and common ground.
+//! Geometry of image pairs: base-to-height ratio and overlap.
 
 use super::{Finding, Scene, SceneImage, Severity};
 use heliosplat_rpc::parallax::MATCHING_PX;
@@ -7,23 +7,24 @@ use nalgebra::{Vector2, Vector3};
 /// Two training images of a scene.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct ImagePair {
-    /// Name of the first.
+    /// Name of the first image.
     pub a: String,
-    /// Name of the second.
+    /// Name of the second image.
     pub b: String,
     /// Angle between their rays at the scene's centre, degrees.
     pub convergence_deg: f64,
-    /// Metres that their rays part per metre of altitude.
+    /// Relative displacement of the two rays per metre of altitude, metres.
     pub base_to_height: f64,
-    /// Share of the ground that either shows, within the scene's area at mid altitude, that both show.
+    /// Overlap: ground that both images show over ground that either shows, 0..1; within the scene's area at mid
+    /// altitude.
     pub overlap: f64,
 }
 
-/// Places along each side of the area at which overlap is measured.
+/// Number of sample places along each side of the area, for the overlap.
 const STEPS: usize = 32;
 
 impl SceneImage {
-    /// Direction of the ray that sees the scene's centre.
+    /// Unit vector of the ray through the scene's centre, from the camera downward, in the scene's frame.
     pub fn ray(&self) -> Vector3<f64> {
         let map = &self.pinhole.map;
         let [col, row] = map.project(Vector3::zeros());
@@ -34,12 +35,12 @@ impl SceneImage {
                 numerator[2] - at * map.w[2],
             )
         };
-        // A ray keeps column and row: it is normal to both of their gradients.
+        // Column and row are constant along a ray, so the ray is normal to both gradients.
         let ray = along(&map.u, col).cross(&along(&map.v, row)).normalize();
         if ray.z > 0.0 { -ray } else { ray }
     }
 
-    /// Metres that the ray through the scene's centre moves east and north per metre of altitude.
+    /// Displacement of the ray through the scene's centre per metre of altitude, metres east and north.
     fn parallax(&self) -> Vector2<f64> {
         let ray = self.ray();
         ray.xy() / ray.z
@@ -69,7 +70,7 @@ impl Scene {
         pairs
     }
 
-    /// One flag for each of a grid of places of the area, at mid altitude, true if the image shows the place.
+    /// True for each place of a grid over the area, at mid altitude, that the image shows.
     fn shown_by(&self, image: &SceneImage) -> Vec<bool> {
         let along = |low: f64, high: f64, step: usize| low + (high - low) * (step as f64 + 0.5) / STEPS as f64;
         let place = |i: usize| {
@@ -82,8 +83,8 @@ impl Scene {
         (0..STEPS * STEPS).map(|i| image.sees(place(i))).collect()
     }
 
-    /// A warning for each training image with the camera of another: over the whole range of altitudes, their rays part
-    /// by less than matching can measure.
+    /// Warns about pairs of training images with equal cameras: over the whole range of altitudes, the parallax between
+    /// them is less than matching can measure.
     pub(super) fn warn_of_copies(&mut self) {
         let (low_m, high_m) = self.altitude_range_m;
         let measurable = MATCHING_PX * self.gsd_m / (high_m - low_m);

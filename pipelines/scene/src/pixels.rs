@@ -1,4 +1,4 @@
-//! Pixel values: missing ones marked, display values made linear, all images of a scene on one scale.
+//! Pixel values: missing ones marked, display values made linear, all images of a scene in one unit.
 
 use super::{BandKind, SceneError, Values, saturation};
 use heliosplat::Raster;
@@ -9,7 +9,7 @@ use heliosplat_raster::{RasterFile, Window};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// The share of values below the scene's unit: the brightest glints lie above 1.
+/// Share of values below the scene's unit: only the brightest glints are above 1.
 const UNIT_QUANTILE: f64 = 0.999;
 
 /// Reads the planned bands of a window of an image; transparent pixels and black borders become `NaN`, display values
@@ -36,8 +36,8 @@ pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String
     Ok(raster)
 }
 
-/// The value of white in an image encoded for display: the largest integer of its type; of floating point numbers 1, or
-/// 255 where they go beyond 1.
+/// White of an image encoded for display: the greatest integer of the data type; for floating point, 1, or 255 where
+/// values exceed 1.
 fn white_of(data_type: &str, raster: &Raster) -> f32 {
     match data_type {
         "UInt16" => f32::from(u16::MAX),
@@ -47,8 +47,8 @@ fn white_of(data_type: &str, raster: &Raster) -> f32 {
     }
 }
 
-/// The values of an image for display: as `scene.toml` or the file states, or, with eight bits and no metadata, where
-/// the values are clipped at the limits of eight bits. `raster` are its pixels.
+/// Display values of an image: as stated by `scene.toml` or the file; or, for eight bits without metadata, where the
+/// pixels `raster` are clipped at the limits of eight bits. `None` for other images.
 pub(super) fn for_display(image: &IndexImage, raster: &Raster) -> Option<Values> {
     if image.counts == Counts::Display {
         return Some(Values::for_display(image.counts_source.as_deref()));
@@ -56,7 +56,7 @@ pub(super) fn for_display(image: &IndexImage, raster: &Raster) -> Option<Values>
     (image.has_unstated_bytes() && saturation::at_limits_of_eight_bits(raster)).then(|| Values::for_display(None))
 }
 
-/// The warning that images stretched for display have no index, where their bands would allow one.
+/// Warning that stretched images have no index, where their bands would allow one.
 pub(super) fn stretched(images: &[(String, Values)], bands: &[BandKind]) -> Option<String> {
     let found = images.iter().filter(|(_, values)| *values == Values::for_display(None));
     let first = found
@@ -71,7 +71,7 @@ pub(super) fn stretched(images: &[(String, Values)], bands: &[BandKind]) -> Opti
     ))
 }
 
-/// Divides all images by `known`, or by the 99.9 % quantile of all their values; returns the divisor.
+/// Divides all images by `known`, or else by the 99.9 % quantile of all their values; returns the divisor.
 pub(super) fn scale_together(images: &mut [&mut Raster], known: Option<f64>) -> f64 {
     let unit = known.map_or_else(|| unit_of(images), |known| known as f32);
     (images.par_iter_mut().flat_map(|image| &mut image.values)).for_each(|value| *value /= unit);
@@ -95,7 +95,7 @@ fn unit_of(images: &[&mut Raster]) -> f32 {
     let Some(unit) = quantile(&mut sample, UNIT_QUANTILE) else {
         return 1.0;
     };
-    // An image that is dark almost everywhere still needs a unit.
+    // An image that is dark almost everywhere needs a unit greater than zero.
     if unit > 0.0 {
         unit
     } else {
@@ -112,12 +112,12 @@ fn blank(raster: &mut Raster, is_missing: impl Fn(usize) -> bool) {
     }
 }
 
-/// Makes pixels missing that Planet's mask states to be unusable: in the first version (`udm`, bits) each that is not 0, in the second
-/// (`udm2`) each that is neither clear (band 1) nor snow (band 2).
+/// Marks pixels as missing that Planet's mask states to be unusable: all except 0 in the first version (`udm`, bits),
+/// all except clear (band 1) and snow (band 2) in the second (`udm2`).
 ///
 /// Source: Planet, "Usable Data Masks (UDM2)", <https://docs.planet.com/data/imagery/udm/>.
 ///
-/// Pixels that were averaged down by `factor` are missing where any of their parts is.
+/// A pixel that was averaged down by `factor` is missing where any of its parts is.
 pub(super) fn blank_unusable(
     raster: &mut Raster,
     image: &IndexImage,
@@ -140,7 +140,7 @@ pub(super) fn blank_unusable(
     let mask = file.read_reduced(window, factor, if is_second { &[0, 1] } else { &[0] })?;
     let plane = mask.plane_len();
     let unusable = |index: usize| match is_second {
-        // Means of parts that are clear or snow sum to one, but for rounding.
+        // Means of clear and snow parts sum to one, except for rounding.
         true => mask.values[index] + mask.values[plane + index] < 0.999,
         false => mask.values[index] != 0.0,
     };
@@ -157,8 +157,8 @@ pub(super) fn blank_unusable(
     Ok(())
 }
 
-/// Crops of rotated or orthorectified images have borders of zeros that no nodata value declares: zeros in all bands
-/// connected to the image's edge and too many to be shadow.
+/// Marks black borders as missing: zeros in all bands, connected to the image's edge, and too many to be shadow. Crops
+/// of rotated or orthorectified images have such borders without a declared nodata value.
 fn blank_black_border(raster: &mut Raster, path: &Path, warnings: &mut Vec<String>) {
     const LEAST_SHARE: f64 = 0.005;
     let border = black_border(raster);

@@ -9,7 +9,7 @@ use heliosplat_raster::Window;
 use heliosplat_rpc::{ImageWindow, LocalFrame, PinholeFit};
 use rayon::prelude::*;
 
-/// An image of the index, its part of a cut, and its pixels.
+/// Image of the index, its part of a cut, and its pixels.
 struct Read<'a> {
     image: &'a IndexImage,
     part: CutImage,
@@ -17,10 +17,11 @@ struct Read<'a> {
 }
 
 impl Scene {
-    /// Reads the pixels of a cut. `warnings` are those of cutting it; those of the index come first.
+    /// Reads the pixels of a cut. `warnings` are those of `Cut::of`; the scene's warnings are those of the index,
+    /// then these.
     ///
     /// # Errors
-    /// [`SceneError`] where pixels or a camera cannot be used.
+    /// [`SceneError`] when pixels cannot be read or a camera cannot be used.
     pub fn read(index: &Index, cut: &Cut, mut warnings: Vec<String>) -> Result<Self, SceneError> {
         warnings.splice(0..0, index.warnings.iter().cloned());
         let mut found_truth = index.truth.clone();
@@ -100,7 +101,8 @@ impl Scene {
     }
 }
 
-/// The pixels of all images of a cut; an image without any pixel is left out of a part, and else an error.
+/// Pixels of all images of a cut. An image without any pixel is left out where the cut is a part, and an error
+/// otherwise.
 fn read_all<'a>(index: &'a Index, cut: &Cut, warnings: &mut Vec<String>) -> Result<Vec<Read<'a>>, SceneError> {
     let placed: Vec<(&IndexImage, CutImage)> = (cut.images.iter())
         .filter_map(|part| Some((index.images.get(part.image)?, *part)))
@@ -127,7 +129,7 @@ fn read_all<'a>(index: &'a Index, cut: &Cut, warnings: &mut Vec<String>) -> Resu
     Ok(images)
 }
 
-/// The values of an image as its metadata state them.
+/// Meaning of an image's values, from its metadata.
 fn values_of(image: &IndexImage, sun: &ImageSun, counts_per_unit: f64) -> Values {
     let bands = values::FileBands {
         kinds: &image.bands.kinds,
@@ -144,7 +146,7 @@ fn values_of(image: &IndexImage, sun: &ImageSun, counts_per_unit: f64) -> Values
 }
 
 fn fit_pinholes(images: &[Read], cut: &Cut, warnings: &mut Vec<String>) -> Result<Vec<PinholeFit>, SceneError> {
-    /// A larger residual shows as blur in the model.
+    /// Residual with a warning, pixels: a larger one is visible as blur in the model.
     const WORTH_A_WARNING_PX: f64 = 0.25;
     let fits: Vec<_> = images
         .par_iter()
@@ -167,7 +169,7 @@ fn fit_pinholes(images: &[Read], cut: &Cut, warnings: &mut Vec<String>) -> Resul
     Ok(good)
 }
 
-/// The pinhole camera of a window.
+/// Fits the pinhole camera of a window over a range of altitudes (metres above the ellipsoid).
 pub(super) fn fit(
     image: &IndexImage,
     window: &Window,

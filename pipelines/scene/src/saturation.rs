@@ -1,20 +1,23 @@
-//! Clipped values of an image: the greatest is a lower bound of the brightness, the lowest an upper bound.
+//! Clipped values of an image: the greatest value of a band is a lower bound of the brightness, the lowest an upper
+//! bound.
 
 use heliosplat::Raster;
 use rayon::prelude::*;
 
-/// Fewest pixels with the greatest value of a clipped band: the brightest glint alone has fewer.
+/// Least number of pixels with the greatest value in a clipped band: an unclipped band has its greatest value in fewer
+/// pixels, such as the brightest glint.
 const FEWEST: usize = 16;
-/// Least ratio of their number to that of the next value below; without clipping greater values are rarer.
+/// Least ratio of that number to the number of pixels with the next lower value: without clipping, greater values are
+/// rarer.
 const TIMES: usize = 2;
 
-/// The value at which each band of an image was clipped, infinite where it was not.
+/// Value at which each band of an image is clipped above; infinite where it is not clipped.
 pub fn ceilings(image: &Raster) -> Vec<f32> {
     let bands = (0..image.bands).into_par_iter();
     bands.map(|band| ceiling(image.plane(band))).collect()
 }
 
-/// The value at which each band of an image was clipped below, minus infinity where it was not.
+/// Value at which each band of an image is clipped below; minus infinity where it is not clipped.
 pub fn floors(image: &Raster) -> Vec<f32> {
     let floor = |band: usize| {
         let mirrored: Vec<f32> = image.plane(band).iter().map(|value| -value).collect();
@@ -23,12 +26,12 @@ pub fn floors(image: &Raster) -> Vec<f32> {
     (0..image.bands).map(floor).collect()
 }
 
-/// Share of the known values of an image that were clipped at their greatest.
+/// Share of an image's known values that are clipped at the greatest value of their band, 0..1.
 pub fn share(image: &Raster) -> f64 {
     share_where(image, &ceilings(image), |value, ceiling| value >= ceiling)
 }
 
-/// Share of the known values of an image that were clipped at their lowest.
+/// Share of an image's known values that are clipped at the lowest value of their band, 0..1.
 pub fn share_below(image: &Raster) -> f64 {
     share_where(image, &floors(image), |value, floor| value <= floor)
 }
@@ -44,8 +47,8 @@ fn share_where(image: &Raster, limits: &[f32], is_clipped: impl Fn(f32, f32) -> 
     clipped as f64 / known.max(1) as f64
 }
 
-/// True if most bands of an eight-bit image were clipped at the least or the greatest eight-bit value. Sensors have ten
-/// bits and more: their own saturation would be at other values.
+/// True if most bands of an eight-bit image are clipped at 0 or 255. Sensors have ten bits and more, so their own
+/// saturation would be at other values.
 pub fn at_limits_of_eight_bits(image: &Raster) -> bool {
     let ends = ceilings(image).into_iter().zip(floors(image));
     let clipped = ends.filter(|(high, low)| *high == 255.0 || *low == 0.0);
@@ -53,7 +56,7 @@ pub fn at_limits_of_eight_bits(image: &Raster) -> bool {
 }
 
 fn ceiling(values: &[f32]) -> f32 {
-    // NaN is neither below nor above anything.
+    // Comparisons with NaN are false.
     let greatest = |below: f32| {
         values
             .iter()
@@ -64,7 +67,7 @@ fn ceiling(values: &[f32]) -> f32 {
     let most = greatest(f32::INFINITY);
     let next = greatest(most);
     let count = |value: f32| values.iter().filter(|v| **v == value).count();
-    // An even image has nothing below its greatest value.
+    // An even image has no value below its greatest.
     let clipped = next.is_finite() && count(most) >= FEWEST && count(most) > TIMES * count(next);
     if clipped { most } else { f32::INFINITY }
 }
@@ -73,7 +76,7 @@ fn ceiling(values: &[f32]) -> f32 {
 mod tests {
     use super::*;
 
-    /// Values of 0 to 1 as a bell of roofs, clipped at `at`.
+    /// Image with bell-shaped values from 0 to 1, clipped at `at`; one pixel is NaN.
     fn image(at: f32) -> Raster {
         let mut image = Raster::filled(100, 100, 1, 0.0);
         for (i, value) in image.values.iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! The size of a cut without its pixels: enough to divide it into tiles and to estimate memory.
+//! Size of a cut without its pixels, to divide it into tiles and to estimate memory.
 
 use super::area::window_over;
 use super::cut::{footprint_of, gsd_m, localise, nominal_gsd_m, pixels_of};
@@ -10,35 +10,35 @@ use heliosplat_raster::Window;
 use heliosplat_rpc::LocalFrame;
 use rayon::prelude::*;
 
-/// A cut and its size.
+/// Size of a cut, without its pixels.
 pub struct Survey<'a> {
-    /// The delivery.
+    /// Index of the delivery.
     pub index: &'a Index,
     /// The cut of the index.
     pub cut: Cut,
-    /// Corners of the training images on the ground.
+    /// Corners of the training images on the ground, metres of the cut's frame.
     footprints: Vec<Footprint>,
-    /// Lowest and highest ellipsoidal altitude the surface may have, metres.
+    /// Lowest and highest altitude of the surface, metres above the ellipsoid.
     pub altitude_range_m: (f64, f64),
-    /// Largest base-to-height ratio of two training images in their middles, metres of relative parallax per metre of
+    /// Largest base-to-height ratio of two training images at their centres, metres of relative parallax per metre of
     /// altitude.
     pub widest_base_to_height: f64,
     /// Nominal ground sampling distance, metres, as that of [`super::Scene`].
     pub gsd_m: f64,
     /// Number of bands of every image.
     pub bands: usize,
-    /// Truth, where the scene brings it.
+    /// Truth, where the scene contains it.
     pub truth: Truth,
-    /// Warnings from its files, one line each.
+    /// Warnings about the scene's files, one line each.
     pub warnings: Vec<String>,
 }
 
-/// Pixels that a part of a cut reads ([`Cut::part`]).
+/// Number of pixels that a part of a cut reads ([`Cut::part`]).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PartSurvey {
-    /// Training images that show some of it.
+    /// Training images that show the part.
     pub images: usize,
-    /// Pixels of their windows together.
+    /// Pixels of their windows, in total.
     pub pixels: f64,
     /// Pixels of the largest window.
     pub largest: f64,
@@ -47,25 +47,25 @@ pub struct PartSurvey {
 /// Size and content of a tile of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TileSurvey {
-    /// Its ground in a local frame at its middle, metres.
+    /// Ground of the tile, metres of a local frame at its centre.
     pub area: Area,
-    /// Images that show some of it.
+    /// Images that show the tile.
     pub images: usize,
-    /// Training images among them.
+    /// Number of training images among them.
     pub training: usize,
-    /// Share of it that at least two training images show.
+    /// Share of the tile that at least two training images show, 0..1.
     pub covered: f64,
-    /// Pixels of all windows together.
+    /// Pixels of all windows, in total.
     pub pixels: f64,
     /// Pixels of the largest window.
     pub largest: f64,
 }
 
 impl<'a> Survey<'a> {
-    /// The survey of an index, cut by `options`.
+    /// Survey of an index, cut by `options`.
     ///
     /// # Errors
-    /// As [`Cut::of`].
+    /// Those of [`Cut::of`].
     pub fn of(index: &'a Index, options: &IngestOptions) -> Result<Self, SceneError> {
         let mut warnings = index.warnings.clone();
         let cut = Cut::of(index, options, &mut warnings)?;
@@ -92,17 +92,17 @@ impl<'a> Survey<'a> {
         })
     }
 
-    /// Pixels of the cut, of all images together.
+    /// Pixels of all windows of the cut.
     pub fn pixels(&self) -> f64 {
         self.cut.images.iter().map(|part| pixels_of(&part.window)).sum()
     }
 
-    /// Images, and those of them that are trained on.
+    /// Number of images, and of training images.
     pub fn images(&self) -> (usize, usize) {
         (self.cut.images.len(), self.cut.training().count())
     }
 
-    /// Pixels of a part of the ground, a rectangle in metres of the survey's frame.
+    /// Pixels of the training images that show a part of the ground, metres of the survey's frame.
     pub fn part(&self, part: &Area) -> PartSurvey {
         let mut found = PartSurvey::default();
         for (image, _) in placed(self.index, &self.cut).filter(|(_, cut)| cut.split == Split::Train) {
@@ -116,23 +116,23 @@ impl<'a> Survey<'a> {
         found
     }
 
-    /// Pixels of the largest window.
+    /// Pixels of the cut's largest window.
     pub fn largest_image(&self) -> f64 {
         let pixels = self.cut.images.iter().map(|part| pixels_of(&part.window));
         pixels.fold(0.0, f64::max)
     }
 
-    /// The frame at its middle.
+    /// ENU frame of the cut.
     pub fn frame(&self) -> &LocalFrame {
         &self.cut.frame
     }
 
-    /// Its ground, metres of that frame.
+    /// Ground of the cut, metres of its frame.
     pub fn area(&self) -> &Area {
         &self.cut.area
     }
 
-    /// A local frame at the middle of a tile, its ground there, and the images that show it.
+    /// Local frame at the centre of a tile, the tile's ground in it, and the images that show the tile.
     fn shown(&self, wanted: &AreaRequest) -> Result<(LocalFrame, Area, Vec<Shown<'_>>), SceneError> {
         let frame = LocalFrame::new(wanted.place(self.frame().origin.height_m)?);
         let area = wanted.area(&frame)?;
@@ -147,7 +147,7 @@ impl<'a> Survey<'a> {
     /// Size and content of a tile; `None` where fewer than two training images show it.
     ///
     /// # Errors
-    /// When its coordinates cannot be transformed.
+    /// When the coordinates of the tile cannot be transformed.
     pub fn tile(&self, wanted: &AreaRequest) -> Result<Option<TileSurvey>, SceneError> {
         let (_, area, seen) = self.shown(wanted)?;
         let covered = self.covered(&wanted.area(self.frame())?);
@@ -166,10 +166,10 @@ impl<'a> Survey<'a> {
         }))
     }
 
-    /// Largest residual of the pinhole cameras of a tile, pixels.
+    /// Largest residual of the pinhole cameras fitted to a tile, pixels.
     ///
     /// # Errors
-    /// When its coordinates cannot be transformed, or a camera does not see it.
+    /// When the coordinates of the tile cannot be transformed, or a camera does not see it.
     pub fn residual_px(&self, wanted: &AreaRequest) -> Result<f64, SceneError> {
         let (frame, _, shown) = self.shown(wanted)?;
         let fits: Vec<_> = shown
@@ -180,7 +180,7 @@ impl<'a> Survey<'a> {
             .try_fold(0.0, |most, fit| Ok(f64::max(most, fit?.max_px)))
     }
 
-    /// Share of an area that at least two training images show, counted on a grid.
+    /// Share of an area that at least two training images show, from a grid of sample points.
     fn covered(&self, area: &Area) -> f64 {
         const STEPS: usize = 24;
         let mut count = 0;
@@ -195,16 +195,16 @@ impl<'a> Survey<'a> {
     }
 }
 
-/// An image that shows a tile, its split, and its window there.
+/// Image that shows a tile, its split, and its window.
 type Shown<'a> = (&'a IndexImage, Split, Window);
 
-/// The images of a cut with their parts.
+/// Images of a cut, each with its part of the cut.
 fn placed<'a>(index: &'a Index, cut: &Cut) -> impl Iterator<Item = (&'a IndexImage, CutImage)> {
     let parts = cut.images.iter().copied();
     parts.filter_map(|part| Some((index.images.get(part.image)?, part)))
 }
 
-/// Metres that the ground in the middle of an image moves east and north per metre of altitude.
+/// Displacement of the ground point of an image's centre per metre of altitude, metres east and north.
 fn parallax(image: &IndexImage, frame: &LocalFrame, (low_m, high_m): (f64, f64)) -> Result<[f64; 2], SceneError> {
     let (width, height) = image.size;
     let at = |height_m| {

@@ -1,4 +1,4 @@
-//! Truth of a scene: the test whether it is on its ground, and the errors that were put into its cameras.
+//! Truth of a scene: removal of truth on other ground, and true errors of synthetic cameras.
 
 use super::{Area, Scene, Truth};
 use heliosplat_raster::{Crs, CrsTransform, GeoTransform, RasterFile};
@@ -6,7 +6,7 @@ use heliosplat_rpc::{GeoPoint, LocalFrame};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Removes truth on other ground than the scene, with a warning. Truth without a position of its own is kept.
+/// Removes truth on other ground than the scene, with a warning. Truth without a position is kept.
 pub(super) fn keep_if_here(truth: &mut Truth, frame: &LocalFrame, area: &Area, warnings: &mut Vec<String>) {
     let Some(path) = truth.dsm.as_deref() else { return };
     let Some(ground) = ground_of(path, frame) else { return };
@@ -21,7 +21,7 @@ pub(super) fn keep_if_here(truth: &mut Truth, frame: &LocalFrame, area: &Area, w
     }
 }
 
-/// The rectangle of the frame that holds a truth raster; `None` where the raster or its place cannot be read.
+/// Bounding rectangle of a truth raster in the frame, metres; `None` where the raster or its position cannot be read.
 fn ground_of(path: &Path, frame: &LocalFrame) -> Option<Area> {
     let file = RasterFile::open(path).ok()?;
     let (width, height) = file.size();
@@ -62,8 +62,8 @@ fn ground_of(path: &Path, frame: &LocalFrame) -> Option<Area> {
 }
 
 impl Scene {
-    /// The error that was put into each image's camera (columns, rows, pixels), by its name; `None` where the scene has
-    /// none.
+    /// Error that a synthetic scene put into each image's camera (columns, rows; pixels), by image name; `None` for
+    /// other scenes.
     pub fn true_camera_biases_px(&self) -> Option<BTreeMap<String, [f64; 2]>> {
         #[derive(serde::Deserialize)]
         struct Summary {

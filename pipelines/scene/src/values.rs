@@ -11,23 +11,23 @@ use heliosplat_rpc::sun::{SunPosition, earth_sun_distance_au};
 use jiff::Timestamp;
 use std::f64::consts::FRAC_PI_2;
 
-/// Quantity of the values, or one they can be converted to.
+/// Quantity of an image's values, or the quantity that its gains convert them to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ValueKind {
-    /// Gains lead to reflectance at the top of the atmosphere.
+    /// Top-of-atmosphere reflectance, through gains.
     Reflectance,
-    /// Gains lead to radiance; the sun or the solar irradiance in the bands is not known.
+    /// Radiance, through gains; the sun or the bands' solar irradiance is unknown.
     Radiance,
     /// Counts without a known calibration.
     #[default]
     Counts,
-    /// A display curve or stretch was applied.
+    /// Display values: a display curve or a stretch was applied.
     Display,
 }
 
 impl ValueKind {
-    /// Its name in reports.
+    /// Name of the kind in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Reflectance => "reflectance",
@@ -38,43 +38,43 @@ impl ValueKind {
     }
 }
 
-/// Conversion of a band's values to reflectance: `scale · value + offset`, values in the scene's unit.
+/// Conversion of a band's values to reflectance: `scale · value + offset`, with values in the scene's unit.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct BandReflectance {
-    /// Per unit.
+    /// Reflectance per unit of the value.
     pub scale: f32,
     /// Reflectance of a value of zero.
     pub offset: f32,
 }
 
-/// Meaning of an image's values, and the source of that.
+/// Meaning of an image's values, and its source.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Values {
-    /// Their kind.
+    /// Kind of the values.
     pub kind: ValueKind,
-    /// The file that states it; `None` where none does.
+    /// File that states the meaning; `None` where no file does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
-    /// Conversion of the values of each band to reflectance, for radiance without a known sun up to one factor for all
-    /// bands; `None` for a band without gain, empty where no band has one.
+    /// Conversion of each band's values to reflectance; `None` for a band without gain, empty where no band has one.
+    /// For radiance under an unknown sun, reflectance is known up to one factor for all bands.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub reflectance: Vec<Option<BandReflectance>>,
 }
 
 impl Values {
-    /// The normalised difference vegetation index of bands of these kinds; `None` without red and near infrared, and of
-    /// values for display.
+    /// Normalised difference vegetation index for bands of these kinds; `None` without red and near infrared, and for
+    /// display values.
     pub fn ndvi(&self, bands: &[BandKind]) -> Option<NormalisedDifference> {
         self.difference(bands, [BandKind::NearInfrared, BandKind::Red])
     }
 
-    /// The water index of bands of these kinds; `None` without green and near infrared, and of values for display.
+    /// Water index for bands of these kinds; `None` without green and near infrared, and for display values.
     pub fn water_index(&self, bands: &[BandKind]) -> Option<NormalisedDifference> {
         self.difference(bands, [BandKind::Green, BandKind::NearInfrared])
     }
 
-    /// The index of leaves for bands of these kinds: the vegetation index, else excess green; `None` of values for
-    /// display.
+    /// Index of leaves for bands of these kinds: the vegetation index, else excess green; `None` for display values and
+    /// without the bands of either.
     pub fn vegetation_index(&self, bands: &[BandKind]) -> Option<VegetationIndex> {
         if self.kind == ValueKind::Display {
             return None;
@@ -83,7 +83,7 @@ impl Values {
         self.ndvi(bands).map(VegetationIndex::Infrared).or_else(green)
     }
 
-    /// True if the values are the default, without any information.
+    /// True for the default values, without any information.
     pub fn is_unknown(&self) -> bool {
         *self == Self::default()
     }
@@ -95,7 +95,7 @@ impl Values {
         let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
         let places = [place(of[0])?, place(of[1])?];
         let gain = |band: usize| self.reflectance.get(band).copied().flatten();
-        // Reflectance of one band is not compared with counts of the other.
+        // Reflectance of one band is not comparable with counts of the other.
         let gains = gain(places[0]).zip(gain(places[1]));
         let terms = gains.map_or([(1.0, 0.0); 2], |(a, b)| [(a.scale, a.offset), (b.scale, b.offset)]);
         let term = |i: usize| Term {
@@ -106,7 +106,7 @@ impl Values {
         Some(NormalisedDifference::new(term(0), term(1)))
     }
 
-    /// For display, as stated in `source`; `None` where it follows from the values themselves.
+    /// Display values, as stated in `source`; `None` where the values themselves show it.
     pub(super) fn for_display(source: Option<&str>) -> Self {
         Self {
             kind: ValueKind::Display,
@@ -115,7 +115,8 @@ impl Values {
         }
     }
 
-    /// From metadata, for bands of these kinds and places in their file, under a sun, in a scene of `counts_per_unit`.
+    /// Values from metadata, for bands of these kinds and places in their file, under a light, in a scene of
+    /// `counts_per_unit`.
     pub(super) fn of_metadata(
         found: &FoundRadiometry,
         bands: &FileBands,
@@ -136,7 +137,7 @@ impl Values {
             let gain = (*gain)?;
             let gain = match calibration.quantity {
                 Quantity::Reflectance => gain,
-                // All bands of an image have one sun: without it reflectance is known up to one factor, which cancels
+                // All bands of an image have one sun: without it, reflectance is known up to one factor, which cancels
                 // in every index.
                 Quantity::Radiance => gain.to_reflectance(elevation_rad.unwrap_or(FRAC_PI_2), light.distance_au())?,
             };
@@ -166,28 +167,31 @@ impl Values {
     }
 }
 
-/// The light under which an image was taken.
+/// Light under which an image was taken.
 pub(super) struct Illumination {
+    /// Position of the sun; `None` if unknown.
     pub(super) sun: Option<SunPosition>,
+    /// Acquisition time; `None` if unknown.
     pub(super) time: Option<Timestamp>,
 }
 
 impl Illumination {
-    /// Without a time the mean, at most 1.7 % off.
+    /// Distance between Earth and sun, astronomical units; without a time the mean, at most 1.7 % off.
     fn distance_au(&self) -> f64 {
         self.time.map_or(1.0, earth_sun_distance_au)
     }
 }
 
-/// The bands that are read of a file.
+/// Bands of a file that are read.
 pub(super) struct FileBands<'a> {
+    /// Kind of each band.
     pub(super) kinds: &'a [BandKind],
-    /// Their places in the file.
+    /// Places of the bands in the file, from 0.
     pub(super) places: &'a [usize],
 }
 
 impl FileBands<'_> {
-    /// The gain of each, where there is one.
+    /// Gain of each band; `None` for a band without one.
     fn of(&self, calibration: &Calibration) -> Vec<Option<Gain>> {
         let by_kind = |kind: BandKind| {
             let mut gains = calibration.gains.iter();
@@ -202,8 +206,8 @@ impl FileBands<'_> {
     }
 }
 
-/// The indices of a scene compare its images: unless all images have gains, none uses them. Returns the corresponding
-/// warning.
+/// Removes the gains of all images unless every image has gains, since indices are compared between images. Returns the
+/// corresponding warning.
 pub(super) fn same_for_all(values: &mut [(String, Values)]) -> Option<String> {
     let with = |values: &Values| !values.reflectance.is_empty();
     let known = values.iter().filter(|(_, values)| with(values)).count();
@@ -264,7 +268,7 @@ mod tests {
         let grey = |kind: usize| if kind == 0 { 0.2 } else { 0.4 };
         let of = |values: &Values| values.ndvi(&KINDS).expect("both bands").of(grey);
         assert!((of(&Values::default()) - 1.0 / 3.0).abs() < 1e-6);
-        // Near infrared has twice the gain: both bands reflect the same.
+        // Near infrared has twice the gain: both bands have equal reflectance.
         let red = (CalibratedBand::Red, 0.2, 0.0, Some(1500.0));
         let infrared = (CalibratedBand::NearInfrared, 0.1, 0.0, Some(1500.0));
         let calibrated = values(&found(Quantity::Radiance, &[red, infrared]), NOON);
@@ -273,7 +277,7 @@ mod tests {
             (ValueKind::Reflectance, Some("a.IMD"))
         );
         assert!(of(&calibrated).abs() < 1e-6);
-        // Red in shadow of its offset.
+        // The offset lowers the reflectance of red.
         let offset = values(
             &found(Quantity::Radiance, &[(red.0, 0.2, -20.0, red.3), infrared]),
             NOON,
@@ -324,7 +328,7 @@ mod tests {
             .collect();
         assert_eq!(scales, [Some(0.02), None, None, Some(0.04)]);
         assert_eq!(planet.kind, ValueKind::Reflectance);
-        // Green has none.
+        // The green band has no gain.
         assert_eq!(planet.water_index(&KINDS), Values::default().water_index(&KINDS));
     }
 

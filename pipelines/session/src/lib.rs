@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Asks for progress in lines where stderr is no terminal.
+/// Environment variable that requests progress in lines where stderr is no terminal.
 const PROGRESS_VARIABLE: &str = "HELIOSPLAT_PROGRESS";
 
 /// The signal handler cannot be installed.
@@ -22,7 +22,7 @@ pub struct SessionError(ctrlc::Error);
 /// Exit code of a process that the user stopped.
 const INTERRUPTED: i32 = 130;
 
-/// The run of one verb.
+/// Progress output and stop requests during one verb.
 #[derive(Debug, Clone, Default)]
 pub struct Session {
     stop: Arc<AtomicBool>,
@@ -59,7 +59,7 @@ impl Session {
         Self { is_quiet, ..self }
     }
 
-    /// From now on the caller asks [`Self::stopped`] again and again, and saves what there is.
+    /// Leaves the stop to the caller, who polls [`Self::stopped`] from now on and saves the results so far.
     pub fn stop_gently(&self) {
         self.gentle.store(true, Ordering::SeqCst);
     }
@@ -73,7 +73,7 @@ impl Session {
         self.stop.load(Ordering::SeqCst)
     }
 
-    /// Also stops when standard input ends, which means that the parent process has ended or requests a stop.
+    /// Also stops when standard input ends: the parent process has ended or requests a stop.
     pub fn stop_with_input(&self) {
         let session = self.clone();
         std::thread::spawn(move || {
@@ -86,13 +86,13 @@ impl Session {
         });
     }
 
-    /// A line about one of several parallel tasks, its time and its message; on a terminal only.
+    /// Starts a line for one of several parallel tasks, with its elapsed time and a message; on a terminal only.
     pub fn watch(&self, label: &str) -> Progress {
         self.bar(label, ProgressBar::no_length(), "{prefix} {elapsed} {msg}")
     }
 
-    /// A progress bar of `total` steps on a terminal. Elsewhere, for programs that read stderr and set
-    /// `HELIOSPLAT_PROGRESS=lines`, a line `progress LABEL N %` for each of a hundred.
+    /// Starts a progress bar of `total` steps on a terminal. Elsewhere, if `HELIOSPLAT_PROGRESS=lines` is set for a
+    /// program that reads stderr, each percent is reported there as a line `progress LABEL N %`.
     pub fn progress(&self, label: &str, total: u64) -> Progress {
         let style = "{prefix} [{bar:30}] {pos}/{len} {per_sec} left {eta} {msg}";
         self.bar(label, ProgressBar::new(total), style)
@@ -118,18 +118,18 @@ impl Session {
     }
 }
 
-/// A progress bar; gone when dropped.
+/// A progress bar or line, removed when dropped.
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
     lines: Option<Lines>,
 }
 
-/// Progress for programs.
+/// Progress in lines, for programs that read stderr.
 #[derive(Debug)]
 struct Lines {
     label: String,
-    /// Hundredths already reported.
+    /// Percent already reported.
     reported: AtomicU64,
 }
 

@@ -42,7 +42,7 @@ pub const FILE: &str = "log.txt";
 /// Bytes of log lines that wait for a folder, at most.
 const WAITING_BYTES: usize = 1 << 20;
 
-/// The copy of the log: what was said before there was a folder for it, and its file from then on.
+/// The copy of the log: the lines written before the run had a folder, and the file from then on.
 struct KeptLog {
     waiting: Vec<u8>,
     file: Option<File>,
@@ -76,7 +76,8 @@ impl Write for CopyWriter {
     }
 }
 
-/// Adds the log to the file [`FILE`] of a folder, with times: all lines so far, and those that follow.
+/// Appends the log with times to the file [`FILE`] of a folder: all lines so far, and those that follow. Nothing
+/// happens where the file cannot be opened.
 pub fn keep_in(folder: &Path) {
     let mut kept = kept();
     let file = File::options().create(true).append(true).open(folder.join(FILE));
@@ -86,8 +87,8 @@ pub fn keep_in(folder: &Path) {
     kept.file = Some(file);
 }
 
-/// Starts logging, of warnings only where it is `quiet`; `HELIOSPLAT_LOG` (as `RUST_LOG` elsewhere) wins over `verbose`. No colours are used
-/// where `NO_COLOR` is set (no-color.org).
+/// Starts logging: warnings if `quiet`, else `info`, `debug` (`verbose` 1) or `trace` (2 and more). `HELIOSPLAT_LOG`,
+/// in the syntax of `RUST_LOG`, overrides both. No colours are used where `NO_COLOR` is set (no-color.org).
 pub fn start(verbose: u8, quiet: bool) {
     let level = match (quiet, verbose) {
         (true, _) => "warn",
@@ -116,7 +117,7 @@ pub fn start(verbose: u8, quiet: bool) {
         .try_init();
 }
 
-/// A count with its thousands apart, for people: `161,532`.
+/// A count as text with commas between thousands: `161,532`.
 pub fn grouped(count: usize) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);

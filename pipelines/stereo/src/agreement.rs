@@ -11,30 +11,33 @@ use std::ops::Range;
 
 /// Views and the surface that they are resampled to.
 pub(super) struct OnSurface<'a> {
+    /// Views at the resolution of the cells.
     pub(super) views: &'a [LevelView],
-    /// First surface point that each of them sees.
+    /// First surface point on the ray of each pixel, one entry per view.
     pub(super) hits: &'a [FirstHits],
+    /// Cells of the surface.
     pub(super) grid: &'a Grid,
-    /// One altitude per cell, metres.
+    /// Altitude of each cell, metres.
     pub(super) altitude_m: &'a [f32],
-    /// Least difference that is compared, as a share of the largest.
+    /// Least difference that the census compares, as a share of the contrast limit, 0 to 1.
     pub(super) noise: f32,
 }
 
-/// The descriptors of all views on some rows of one surface: of brightness and, where views have one, of the index.
+/// Census descriptors of all views on some rows of a surface: of brightness, and of the index where a view has one.
 pub(super) struct Resampled {
     views: Vec<[Option<Descriptors>; 2]>,
 }
 
 /// Weighted sums of the census distances of pairs, cell by cell.
 pub(super) struct DistanceSums {
-    /// Distances in comparisons, times their weights.
+    /// Weighted sum of the distances at each cell, in comparisons.
     pub(super) distance: Vec<u32>,
-    /// The weights; zero where no two views see a cell.
+    /// Sum of the weights at each cell; 0 where no two views see it.
     pub(super) weight: Vec<u32>,
 }
 
 impl DistanceSums {
+    /// Zero sums for `cells` cells.
     pub(super) fn new(cells: usize) -> Self {
         Self {
             distance: vec![0; cells],
@@ -44,7 +47,7 @@ impl DistanceSums {
 }
 
 impl OnSurface<'_> {
-    /// Resamples the views to some rows of the surface, with occlusion.
+    /// Census descriptors of all views on `rows` of the surface; cells hidden from a view are invalid in it.
     pub(super) fn resample(&self, rows: Range<usize>) -> Resampled {
         let views = self.views.par_iter().zip(self.hits);
         Resampled {
@@ -96,7 +99,7 @@ impl OnSurface<'_> {
 }
 
 impl Resampled {
-    /// The same with each neighbourhood rotated by 90 degrees about its centre.
+    /// The descriptors with each neighbourhood rotated by 90 degrees about its centre.
     pub(super) fn rotated(&self) -> Self {
         let rotated =
             |planes: &[Option<Descriptors>; 2]| planes.each_ref().map(|plane| Some(plane.as_ref()?.rotated()));
@@ -105,7 +108,8 @@ impl Resampled {
         }
     }
 
-    /// Adds the distances between the first view of a pair and the second one of `others`, planes of `weights`.
+    /// Adds to `sums` the census distances between the first view of `pair` and the second one in `others`; `weights`
+    /// are those of brightness and of the index.
     pub(super) fn add_distances(&self, others: &Self, pair: &Pair, weights: [u32; 2], sums: &mut DistanceSums) {
         let planes = self.views[pair.a].iter().zip(&others.views[pair.b]).zip(weights);
         for ((a, b), weight) in planes {
@@ -115,8 +119,8 @@ impl Resampled {
         }
     }
 
-    /// Census distance of a pair at each cell, shares of the comparisons that differ; NaN where one of the two does not
-    /// see it.
+    /// Census distance of a pair at each cell: share of the comparisons that differ, 0 to 1; NaN where one of the two
+    /// views does not see the cell.
     pub(super) fn distance(&self, pair: &Pair) -> Vec<f32> {
         let cells = self.views[pair.a][0].as_ref().map_or(0, |plane| plane.darker.len());
         let mut sums = DistanceSums::new(cells);

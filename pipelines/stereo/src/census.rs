@@ -6,8 +6,8 @@
 //! so other parts of an image (sea, snow, deep shade) do not matter. Views of one date are also compared by brightness
 //! itself ([`compare_values`]).
 //!
-//! Thirty-two bits a cell and integer sums, so that eight cells are processed together and the result does not depend
-//! on order.
+//! Descriptors have 32 bits per cell and sums are integers, so that eight cells are processed together and the result
+//! does not depend on the order.
 
 use heliosplat::fast::{floor, number};
 use heliosplat::vectorised;
@@ -15,13 +15,13 @@ use std::cmp::Ordering;
 
 /// Cells from the centre to the edge of the window.
 pub(super) const RADIUS: usize = 2;
-/// Neighbours compared: those of the 5 × 5 window. Every other cell of 7 × 7 blurs edges more
+/// Number of neighbours compared: all of the 5 × 5 window. Every other cell of a 7 × 7 window blurs edges more
 /// (docs/lab/plane-sweep.md).
 pub(super) const COMPARISONS: u32 = 24;
-/// Set in [`Descriptors::darker`] where the window is not complete.
+/// Bit of [`Descriptors::darker`] that marks cells without a complete window, or hidden from the view.
 pub(super) const INVALID: u32 = 1 << 31;
 
-/// Descriptors of some cells, a bit per neighbour in each list.
+/// Descriptors of some cells, one entry per cell in each list; `darker` and `compared` have one bit per neighbour.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Descriptors {
     /// Neighbours that are darker than the cell.
@@ -33,7 +33,7 @@ pub(super) struct Descriptors {
 }
 
 impl Descriptors {
-    /// Room for `cells`.
+    /// Zero descriptors of `cells` cells.
     pub(super) fn new(cells: usize) -> Self {
         Self {
             darker: vec![0; cells],
@@ -42,7 +42,7 @@ impl Descriptors {
         }
     }
 
-    /// The same with each neighbourhood rotated by 90 degrees about its centre.
+    /// The descriptors with each neighbourhood rotated by 90 degrees about its centre.
     pub(super) fn rotated(&self) -> Self {
         let rotate = |list: &[u32]| list.iter().map(|&word| rotated(word)).collect();
         Self {
@@ -96,9 +96,9 @@ const fn offsets() -> [(isize, isize); COMPARISONS as usize] {
 const OFFSETS: [(isize, isize); COMPARISONS as usize] = offsets();
 
 vectorised! {
-    /// Descriptors of a block of `width × height` cells from their values, which reach [`RADIUS`] further on every
-    /// side. Neighbours are compared whose value is less than the cell's `limits` away from the cell's, and at least
-    /// that times `noise`.
+    /// Writes to `out` the bits of a block of `width × height` cells from `values`, which reach [`RADIUS`] cells
+    /// further on every side. A neighbour is compared if its absolute difference from the cell is less than the cell's
+    /// limit (`limits`) and at least `noise` times that limit.
     pub(super) fn describe(values: &[f32], width: usize, height: usize, limits: &[f32], noise: f32, out: &mut Descriptors) {
         let stride = width + 2 * RADIUS;
         for row in 0..height {
@@ -153,7 +153,8 @@ fn describe_group(values: &[f32], stride: usize, limits: &[f32; LANES], noise: f
     }
 }
 
-/// The values that windows reach, where there are no more behind them: those of missing cells are zero.
+/// Values of the windows of a group at the end of the list, where fewer follow than a window needs; missing ones are
+/// zero.
 #[cold]
 fn padded(values: &[f32], stride: usize) -> [f32; SIDE * REACH] {
     let mut all = [0.0; SIDE * REACH];
@@ -176,7 +177,7 @@ fn describe_cells(values: &[f32], stride: usize, limits: &[f32; LANES], noise: f
     let mut sum = centre;
     for row in 0..SIDE {
         let line = line(row);
-        // The centre too, which is no neighbour: its bits are left out where rows are joined.
+        // The centre is included here; its bit is left out when rows are joined.
         let (mut row_darker, mut row_compared) = ([0u32; LANES], [0u32; LANES]);
         for col in 0..SIDE {
             let other = lanes(line, col);
@@ -214,8 +215,8 @@ fn joined(bits: u32, row: usize) -> u32 {
 }
 
 vectorised! {
-    /// Adds to `sum` the weighted distance between two blocks of descriptors, cut off at `cut`, and to `weights` the
-    /// weight, where both are valid.
+    /// Adds to `sum` the weighted distance between two blocks of descriptors, in comparisons and truncated at `cut`,
+    /// and to `weights` the weight, at cells that are valid in both.
     pub(super) fn compare(a: &Descriptors, b: &Descriptors, weight: u32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         let cells = sum.len();
         let (a_darker, a_compared) = (&a.darker[..cells], &a.compared[..cells]);
@@ -236,8 +237,8 @@ vectorised! {
 }
 
 vectorised! {
-    /// Values of a block of `width × height` cells, which reach [`RADIUS`] further on every side, less `middle`, in
-    /// units of `unit`.
+    /// Writes to `out` the values of a block of `width × height` cells less `middle`, in units of `unit`; `values`
+    /// reach [`RADIUS`] cells further on every side.
     pub(super) fn store_values(values: &[f32], width: usize, height: usize, middle: f32, unit: f32, out: &mut Descriptors) {
         let stride = width + 2 * RADIUS;
         let inverse = 1.0 / unit;
@@ -252,8 +253,8 @@ vectorised! {
 }
 
 vectorised! {
-    /// Adds to `sum` the weighted difference between two blocks of values, `reach` and more being `cut`, and to
-    /// `weights` the weight, where the descriptors of both are valid.
+    /// Adds to `sum` the weighted absolute difference between two blocks of values, scaled so that `reach` becomes
+    /// `cut` and truncated there, and to `weights` the weight, at cells whose descriptors are valid in both.
     pub(super) fn compare_values(a: &Descriptors, b: &Descriptors, weight: u32, reach: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         let cells = sum.len();
         let (a_darker, a_value) = (&a.darker[..cells], &a.value[..cells]);

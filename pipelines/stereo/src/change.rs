@@ -1,16 +1,15 @@
 //! Change detection: parts of a surface that exist only before or after a date.
 //!
-//! One surface is swept from the images before the first day that divides them with at least two images on either side,
-//! and one from those after the last such day, on coarse cells. Whatever the day of a change, the first has only the
-//! old state and the second only the new one. Both and the surface of all images are hypotheses, for each of the days.
-//! A pair of images supports a surface when its census distance there is below that by chance. With one surface all
-//! pairs support the same; with two, the pairs before the day support one and the pairs from it on the other, and pairs
-//! across the day are unused. Unchanged ground therefore keeps its single surface as long as images across the day
-//! agree on it; where something changed they do not agree, and leaving them out costs nothing.
+//! One surface is swept on coarse cells from the images before the first day with at least two images on either side,
+//! and one from the last such day on: they have only the old and only the new state, and both are hypotheses besides
+//! the surface of all images. A pair of images supports a surface when its census distance there is below that by
+//! chance. With one surface all pairs count; with two, the pairs before a day support one, the pairs from it on support
+//! the other, and pairs across the day are unused, so that unchanged ground keeps its single surface as long as images
+//! across the day agree on it.
 //!
 //! Cells better explained by two surfaces are joined to segments, and each segment gets the day that explains it best.
-//! The shadows around it measure the dates of the old and of the new state, and the Bayesian information criterion
-//! accepts or rejects it.
+//! The shadows around a segment show its state on each date, and the Bayesian information criterion accepts or rejects
+//! it.
 //!
 //! Limits: a structure that exists only between two dates is found as one of its two changes. A side with fewer than
 //! two images has no surface of its own, so changes before the second or after the last but one image are not found.
@@ -41,7 +40,7 @@ use std::collections::BTreeMap;
 const COARSE: usize = 2;
 /// Images needed on either side of a day.
 const FEWEST_IMAGES: usize = 2;
-/// Days at most on which images are divided: the memory of the search grows with them.
+/// Most days on which images are divided: the memory of the search grows with their number.
 const MOST_DAYS: usize = 12;
 /// A point this far below the first surface point on its ray is hidden, metres.
 const HIDDEN_M: f32 = 1.5;
@@ -63,7 +62,7 @@ const LEAST_M: f32 = 1.5;
 const LEAST_SHARE: f32 = 0.6;
 /// Share of the images that must show a place for change detection.
 const SHOWN: f32 = 0.8;
-/// A fine surface that is further than this from the coarse hypothesis is not the one that was accepted, metres.
+/// Largest distance of a fine altitude from the accepted coarse one, metres; beyond it the coarse altitude is used.
 const SAME_M: f32 = 2.0;
 
 /// One connected part of the ground that changed.
@@ -73,9 +72,9 @@ pub struct Segment {
     pub day: i32,
     /// Median of the new altitude less the old one, metres.
     pub difference_m: f32,
-    /// Its ground, m².
+    /// Ground area, m².
     pub area_m2: f32,
-    /// Western, southern, eastern and northern end, metres.
+    /// Western, southern, eastern and northern edge, metres in the frame of the surface.
     pub bounds_m: [f32; 4],
     /// Probability that two surfaces explain the images better than one, 0.5 to 1.
     pub confidence: f32,
@@ -84,18 +83,18 @@ pub struct Segment {
 /// Changes of a surface, on the surface's own cells.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Changes {
-    /// The parts that changed.
+    /// Changed segments, in the order of their days.
     pub segments: Vec<Segment>,
-    /// For each cell the place of its segment plus one, 0 where nothing changed.
+    /// For each cell the index of its segment in `segments` plus one; 0 where nothing changed.
     pub label: Vec<u32>,
-    /// Altitude of each cell before it changed, metres; that of the last state where nothing did.
+    /// Altitude of each cell before its change, metres; the current altitude where nothing changed.
     pub before_m: Vec<f32>,
     /// Days that divide the images, days since 1970; empty where changes cannot be detected.
     pub days: Vec<i32>,
 }
 
 impl Changes {
-    /// The segment of a cell.
+    /// Segment of a cell; `None` where nothing changed and off the surface.
     pub fn at(&self, cell: usize) -> Option<&Segment> {
         let label = *self.label.get(cell)? as usize;
         self.segments.get(label.checked_sub(1)?)
@@ -105,17 +104,18 @@ impl Changes {
 /// Support of the hypotheses for one day, on each coarse cell.
 struct Split {
     day: i32,
-    /// Agreement of one surface for all, in agreeing pairs.
+    /// Agreement of the best single surface, in agreeing pairs.
     one: Vec<f32>,
-    /// Agreement of the best surface before and of that after, and their altitudes, metres.
+    /// The best surfaces before the day and from it on.
     sides: [Side; 2],
 }
 
 /// Divides `surface`, which was swept from all `views`, into the states before and after a day where the images support
-/// that; `days` are those of the views, days since 1970. With changes, `surface` becomes that of the last day.
+/// two states. `days` are the dates of the views, days since 1970. Changed cells of `surface` get the altitude after
+/// the change. The result is empty without a day that divides the images ([`dividing_days`]).
 ///
-/// `by_shadows` receives the searched cells and the altitudes of the surface there, metres; it returns the
-/// log-likelihood ratio of two states to one from the shadows around a segment, `None` where no date shows decisive
+/// `by_shadows` receives the searched cells and the altitudes of the surface there, metres. Its result gives the
+/// log-likelihood ratio of two states to one from the shadows around a segment; `None` where no date shows decisive
 /// ground.
 pub fn find<L: Fn(&States) -> Option<f32>>(
     views: &[SweepView],
@@ -171,8 +171,8 @@ pub fn find<L: Fn(&States) -> Option<f32>>(
 }
 
 impl Changes {
-    /// Adds a segment on the cells of `surface`: those around it where the surfaces of the two `sides` differ as it
-    /// does.
+    /// Adds a segment with the cells of `surface` in and next to it at which the surfaces of the two `sides` differ in
+    /// the segment's direction.
     fn refine(&mut self, segment: &CoarseSegment, grid: &Grid, sides: &[Surface; 2], surface: &mut Surface) {
         let label = self.segments.len() as u32 + 1;
         let width = surface.width;
@@ -220,8 +220,8 @@ impl Changes {
     }
 }
 
-/// The fine cells in and next to a coarse segment, with the altitudes before and after of the coarse cell that each is
-/// in or next to.
+/// Fine cells in and next to a coarse segment, each with the altitudes before and after of the coarse cell that it lies
+/// in or next to, metres.
 fn fine_cells(segment: &CoarseSegment, grid: &Grid, surface: &Surface) -> BTreeMap<usize, [f32; 2]> {
     let mut found = BTreeMap::new();
     for (&cell, &altitudes_m) in segment.cells.iter().zip(&segment.altitudes_m) {
@@ -351,14 +351,15 @@ fn on_surface<T>(
     })
 }
 
-/// Number of the days, in order, that are not after the earlier image of a pair, and not after the later one.
+/// Numbers of `candidates` (ascending days) up to the day of the earlier image of a pair, and up to that of the later
+/// one.
 fn span(pair: &Pair, days: &[i32], candidates: &[i32]) -> [usize; 2] {
     let [a, b] = [pair.a, pair.b].map(|view| candidates.partition_point(|day| *day <= days[view]));
     [a.min(b), a.max(b)]
 }
 
-/// For each of `days` days, the agreement beyond chance of the pairs before, from it on, and across it: mean over the
-/// window, in agreeing pairs.
+/// For each of `days` days, the agreement beyond chance of the pairs before it, from it on, and across it: mean over
+/// the window, in agreeing pairs.
 fn agreement(
     surface: &OnSurface,
     pairs: &[Pair],
@@ -391,9 +392,9 @@ fn agreement(
     (0..days).map(|day| [0, 1, 2].map(|at| place(day, at))).collect()
 }
 
-/// Sums over pairs, cell by cell, for each day: of the pairs before it, from it on, and across it. Each pair is added
-/// twice, whatever the number of days. A pair is from the first `span[0]` days on, across those up to `span[1]`, and
-/// before the others.
+/// Sums over pairs, cell by cell, for each day: of the pairs before it, from it on, and across it. A pair lies after
+/// the first `span[0]` days, across the next ones up to `span[1]`, and before the others, so that it is added twice for
+/// any number of days.
 struct SumsOfDays {
     cells: usize,
     /// Sums of the pairs by the first number of their spans, and by the second.
@@ -420,7 +421,7 @@ impl SumsOfDays {
 
     fn of_days(mut self) -> Vec<[Vec<f32>; 3]> {
         let cells = self.cells;
-        // From here on: sums over all spans up to each.
+        // Cumulative sums over the days.
         for sums in &mut self.by {
             for i in cells..sums.len() {
                 sums[i] += sums[i - cells];
@@ -465,7 +466,8 @@ fn shown(views: &[SweepView], grid: &Grid, surface: &Surface) -> Vec<bool> {
     grid.cells().map(enough).collect()
 }
 
-/// The days that divide the images: each is the first day after the division.
+/// Days that divide images taken on `days` (days since 1970) into two groups of at least two, ascending: each is the
+/// first day of the later group. At most `MOST_DAYS`, evenly chosen.
 pub fn dividing_days(days: &[i32]) -> Vec<i32> {
     let mut all = days.to_vec();
     all.sort_unstable();
@@ -482,7 +484,7 @@ pub fn dividing_days(days: &[i32]) -> Vec<i32> {
     }
 }
 
-/// The views of one side of a day.
+/// The views before a day, or with `after` those from it on.
 fn side<'a>(views: &[SweepView<'a>], days: &[i32], day: i32, after: bool) -> Vec<SweepView<'a>> {
     let sides = views.iter().zip(days).filter(|(_, of)| (**of >= day) == after);
     sides.map(|(view, _)| *view).collect()
@@ -523,7 +525,7 @@ fn around(volume: &SearchVolume, grid: &Grid, segments: &[&CoarseSegment]) -> Se
     }
 }
 
-/// The altitudes of a surface at the centres of a grid's cells.
+/// Altitudes of a surface at the centres of a grid's cells, metres.
 fn on_grid(grid: &Grid, surface: &Surface) -> Vec<f32> {
     let of_cell = |cell: usize| {
         let p = grid.point((cell % grid.width) as isize, (cell / grid.width) as isize, 0.0);

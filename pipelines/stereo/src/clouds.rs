@@ -19,7 +19,7 @@ use super::views::SweepView;
 use heliosplat_grid::Grid;
 use rayon::prelude::*;
 
-/// Least number of views: with fewer the outlier cannot be identified.
+/// Least number of views for the search: with fewer, the outlier cannot be identified.
 pub const FEWEST_VIEWS: usize = 5;
 /// Cells of the request per cell of the surface for orthorectification: clouds need no more detail.
 const FACTOR: usize = 2;
@@ -37,8 +37,8 @@ const EDGE_M: f32 = 4.0;
 /// A point counts as hidden when it is this many height steps below the surface first seen by its view.
 const HIDDEN_STEPS: f32 = 2.0;
 
-/// The pixels of each view that show a cloud, `[row][column]`; none with fewer than [`FEWEST_VIEWS`] views. Cameras may
-/// be off by some pixels.
+/// Cloud mask of each view, `[row][column]` of its image, true for a cloud; all false with fewer than [`FEWEST_VIEWS`]
+/// views. Cameras may be off by some pixels.
 pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<bool>> {
     let mut masks: Vec<Vec<bool>> = views.iter().map(|view| vec![false; view.image.plane_len()]).collect();
     let search = Search::new(views, request);
@@ -51,8 +51,7 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
     let grid = found.grid;
     let altitude = ortho::median(&grid, &found.altitude(), MEDIAN_RADIUS);
     let mut excess = brightness::excess(views, &search, &grid, &altitude, HIDDEN_STEPS * found.step_m);
-    // Glitter on water is brighter than in other views too, and no cloud: unmatched cells have no ground to compare
-    // with.
+    // Glitter on water exceeds the other views like a cloud, so cells without a match are excluded.
     let judged = LevelSurface {
         search: &search,
         factor: FACTOR,

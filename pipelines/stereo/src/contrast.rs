@@ -14,24 +14,23 @@ use rayon::prelude::*;
 const STEP: usize = 16;
 /// Half the side of a tile, pixels: neighbouring tiles overlap by half.
 const HALF: usize = 16;
-/// Tiles on each side among which a tile's contrast is that of the brighter lit ones: 9 × 9 tiles are some 140 pixels
-/// across.
+/// Tiles on each side of a tile that determine its contrast: 9 × 9 tiles are some 140 pixels across.
 const REACH: usize = 4;
-/// Share of the surrounding tiles with no more contrast. Shade has a fraction of the contrast of the ground next to it,
-/// and an edge in shade must not pass for the edge of a shadow because it exceeds its surroundings.
+/// Quantile of the contrast of the surrounding tiles that a tile takes. Shade has a fraction of the contrast of the
+/// ground next to it, and an edge in shade must not pass for the edge of a shadow because it exceeds its surroundings.
 const BRIGHTER: f64 = 0.75;
-/// Fewest differences that make a tile's contrast.
+/// Fewest differences for a contrast of the tile's own.
 const FEWEST: usize = 64;
 
-/// Median absolute difference between neighbours along rows that differ; zero where none do.
+/// Median absolute difference between unequal neighbours along rows, in the image's units; 0 where there are none.
 pub(super) fn whole(image: &Raster) -> f32 {
     let pairs = image.values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
     let mut differences: Vec<f32> = pairs.filter(|d| counts(*d)).collect();
     upper_median(&mut differences).unwrap_or(0.0)
 }
 
-/// Contrast around each pixel: that of tiles, or of their better lit neighbours, interpolated between their centres.
-/// Tiles with few differences have that of the whole image.
+/// Contrast around each pixel, `[row][column]`, in the image's units: the upper quartile of the tiles around,
+/// interpolated between the centres of tiles. Tiles with few differences have the contrast of the whole image.
 pub(super) fn local(image: &Raster) -> Vec<f32> {
     let tiles = Tiles::new(image);
     (0..image.values.len())

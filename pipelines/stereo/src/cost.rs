@@ -26,29 +26,34 @@ use std::collections::BTreeMap;
 
 /// Census distances are truncated at this share of the comparisons: beyond it there is no match.
 const TRUNCATION: f32 = 0.36;
-/// Differences of brightness within a date at which they are truncated too, in median differences between neighbours
+/// Difference of brightness within a date at which its cost is truncated, in median differences between neighbours
 /// (docs/lab/plane-sweep.md).
 const VALUE_TRUNCATION: f32 = 4.0;
 
-/// Contrast limit: larger differences are across the edge of a shadow or of another surface, in median differences
-/// between the neighbours around (docs/lab/plane-sweep.md).
+/// Contrast limit of the census, in median differences between the neighbours around: larger differences are across the
+/// edge of a shadow or of another surface (docs/lab/plane-sweep.md).
 pub(super) const CONTRAST_LIMIT: f32 = 8.0;
 
 /// Input of the matching cost on one level.
 pub(super) struct MatchingCost<'a> {
+    /// Cells of the level.
     pub(super) grid: Grid,
+    /// Height hypotheses of the level.
     pub(super) heights: HeightHypotheses,
+    /// Views at the resolution of the level.
     pub(super) views: &'a [LevelView],
+    /// Pairs of `views` to compare.
     pub(super) pairs: &'a [Pair],
+    /// Matching parameters of the request.
     pub(super) parameters: &'a MatchingParameters,
-    /// Weight of a comparison of index planes; `None` where they are not compared.
+    /// Weight of a comparison of index planes relative to one of brightness; `None` where they are not compared.
     pub(super) index_weight: Option<f32>,
-    /// First surface points of each view, where a surface is known already.
+    /// First surface points of each view; `None` before a surface is known.
     pub(super) hits: Option<&'a [FirstHits]>,
 }
 
 impl MatchingCost<'_> {
-    /// Costs 0 (all agree) to 255 of all levels of all cells, in the order of `ranges`.
+    /// Matching costs of all levels of all cells, 0 (all agree) to 255, in the order of `ranges`.
     pub(super) fn costs(&self, ranges: &SearchRanges) -> Vec<u8> {
         let mut costs = vec![0; ranges.total()];
         let no_match = self.no_match_weights();
@@ -110,8 +115,8 @@ impl MatchingCost<'_> {
         }
     }
 
-    /// The levels searched by some cell of a block, each with the smallest part of the block that contains those cells:
-    /// between the ground and the roofs there is often none, and nothing is compared.
+    /// The levels searched by some cell of a block, each with the smallest part of the block that contains those cells.
+    /// Levels between ground and roofs, which no cell searches, cost no time.
     fn parts(&self, block: &Block, ranges: &SearchRanges) -> impl Iterator<Item = (usize, Block)> {
         let mut parts: BTreeMap<usize, Block> = BTreeMap::new();
         for row in block.row0..block.row1 {
@@ -204,7 +209,7 @@ impl MatchingCost<'_> {
         }
     }
 
-    /// Adds the comparisons of one plane's descriptors, each of `share` of its pair's weight.
+    /// Adds the comparisons of one plane's descriptors, each with `share` of its pair's weight.
     fn compare(&self, descriptors: &[Descriptors], share: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         for pair in self.pairs {
             let weight = pair.weight_of(share);
@@ -212,7 +217,7 @@ impl MatchingCost<'_> {
         }
     }
 
-    /// Adds the differences of brightness of the views of one date, each of `share` of its pair's weight.
+    /// Adds the differences of brightness of the views of one date, each with `share` of its pair's weight.
     fn compare_values(&self, descriptors: &[Descriptors], share: f32, cut: u32, sum: &mut [u32], weights: &mut [u32]) {
         for pair in self.pairs.iter().filter(|pair| pair.same_date) {
             let (a, b) = (&descriptors[pair.a], &descriptors[pair.b]);

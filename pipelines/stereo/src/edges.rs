@@ -11,7 +11,7 @@ use heliosplat_grid::Grid;
 use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
-/// Steps lower than this are no edges, metres: cars and hedges, or noise.
+/// Least step of an edge, metres: lower ones are cars, hedges or noise.
 const LEAST_STEP_M: f32 = 2.0;
 /// Least step, height steps of the plane sweep.
 const LEAST_STEPS: f32 = 3.0;
@@ -35,7 +35,7 @@ const SAME_TOP_M: f32 = 1.0;
 const SIGMA_CELLS: f32 = 1.4;
 /// Fewest views for an edge: the median of two would be one of them.
 const FEWEST_PROFILES: usize = 3;
-/// Cells further from any edge than this stay on their side, cells.
+/// Largest distance of a moved cell from its edge, cells.
 const REACH_CELLS: f32 = 3.0;
 
 /// A side that a cell shares with a much lower one.
@@ -65,8 +65,8 @@ impl Edge {
 type Profile = [f32; PROFILE];
 
 /// Moves the edges of a surface to where the views change: cells between the matched and the true edge take the
-/// altitude of the other side. `step_m` is the step of the height hypotheses, metres. Moved cells keep the large
-/// deviation of their match.
+/// altitude of the other side, metres. `step_m` is the step of the height hypotheses, metres. Moved cells keep the
+/// large deviation of their match.
 pub(super) fn place(grid: &Grid, views: &[LevelView], altitude: &mut [f32], step_m: f32) {
     if views.len() < FEWEST_PROFILES {
         return;
@@ -164,7 +164,7 @@ fn profile(grid: &Grid, views: &[LevelView], edge: &Edge) -> Profile {
     })
 }
 
-/// Edges by where they are: those of squares of [`SAME_EDGE_CELLS`] a side.
+/// Spatial index of the edges, in squares of [`SAME_EDGE_CELLS`] a side.
 struct Near {
     squares: Grid,
     edges: Vec<Vec<usize>>,

@@ -3,11 +3,11 @@
 //! Semi-global matching gives every cell an altitude, and over open water a smooth one with a small deviation. The
 //! agreement by chance is measured on the same cells: one view's census neighbourhoods are rotated by 90 degrees, so
 //! that brightness, contrast and the number of views stay and only the pattern differs. The share by which the distance
-//! of the true patterns is less is the evidence, over a window of some cells each way. It is zero over water, whatever
-//! the number of views, and a quarter on land. Lawns without texture at one cell size may have some at twice that size:
-//! the larger evidence of the two counts.
+//! of the true patterns is less is the evidence, over a window of some cells each way. It is zero over water, for any
+//! number of views, and a quarter on land. Lawns without texture at one cell size may have some at twice that size: the
+//! larger evidence of the two counts.
 //!
-//! Of two or three views a few comparisons decide, and the search has selected the altitude at which these happen to
+//! With two or three views few comparisons decide, and the search has selected the altitude at which they happen to
 //! agree, so the threshold is higher.
 //!
 //! Limits: matches that are wrong in the same way in all views pass, and patches smaller than the window share the
@@ -31,25 +31,28 @@ const COARSER: usize = 2;
 const COARSER_WORTH: f32 = 0.8;
 /// Rows that are resampled together: the samples of all views on them are in memory at a time.
 const STRIP_ROWS: usize = 64;
-/// Least evidence of a match, however many pairs of views compare it (docs/lab/known.md).
+/// Least evidence of a match, for any number of pairs of views (docs/lab/known.md).
 pub(super) const LEAST_EVIDENCE: f32 = 0.08;
 /// Additional evidence required of a single pair; with more pairs the search exploits chance less.
 const LEAST_EVIDENCE_OF_PAIR: f32 = 0.12;
 
 /// A surface on the cells of one level of the search.
 pub(super) struct LevelSurface<'a> {
+    /// Views, pairs and parameters of the search.
     pub(super) search: &'a Search<'a>,
     /// Cells of the request, each way, in one of the surface.
     pub(super) factor: usize,
+    /// Cells of the surface.
     pub(super) grid: Grid,
+    /// Altitude of each cell, metres.
     pub(super) altitude_m: &'a [f32],
     /// A point this far below the first surface point of a view is hidden from it, metres.
     pub(super) tolerance_m: f32,
 }
 
 impl LevelSurface<'_> {
-    /// Excess of the agreement of the views at each cell over chance: 0 for none, 1 for a perfect match; NaN where less
-    /// than half of a window is compared.
+    /// Excess of the agreement of the views over chance, one value per cell: 0 for none, 1 for a perfect match; NaN
+    /// where less than half of a window is compared.
     pub(super) fn evidence(&self) -> Vec<f32> {
         let _part = stage("evidence");
         let fine = self.evidence_within(WINDOW_CELLS);
@@ -130,7 +133,8 @@ fn share_less(found: f32, by_chance: f32) -> f32 {
     }
 }
 
-/// True if `evidence` suffices for a match of `views` views. Cells without comparisons pass; other tests remain.
+/// True if `evidence` suffices for a match of `views` views. Cells without comparisons (NaN) pass and are left to other
+/// tests.
 pub(super) fn is_match(evidence: f32, views: f32) -> bool {
     evidence.is_nan() || evidence >= least_evidence(views)
 }

@@ -16,13 +16,13 @@ use rayon::prelude::*;
 
 /// Cells around a cell whose lowest certain one is its floor: the shade of a house of two storeys.
 const REACH_CELLS: usize = 16;
-/// Margin from which on a cell's altitude is sure.
+/// Least margin of a certain altitude.
 const SURE_MARGIN: f32 = 0.15;
 /// Cells each way around a certain cell, and the number of them that have to be as high: a floor is an area, no pit.
 const PLACE: (usize, usize) = (2, 18);
 /// Difference within which they are as high, metres.
 const ALIKE_M: f32 = 1.0;
-/// Least height above the floor, metres: less is a matter of the slope.
+/// Least height above the floor of a cell that may change, metres: less may be a slope.
 const STEP_M: f32 = 1.0;
 /// Height hypotheses on both sides of the floor that belong to it: it slopes, and certain cells have errors.
 const SAME_LEVELS: usize = 3;
@@ -43,7 +43,7 @@ pub(super) fn lower_for_visibility(grid: &Grid, found: &mut LevelResult, paramet
     }
 }
 
-/// Chooses the floor where the images hardly separate it from the surface above.
+/// Chooses the floor where its summed cost less the floor bonus of `parameters` is the least.
 pub(super) fn prefer(grid: &Grid, found: &mut LevelResult, parameters: &MatchingParameters) {
     choose_again(grid, found, parameters.floor_bonus, parameters);
 }
@@ -92,7 +92,7 @@ fn choose_again(grid: &Grid, found: &mut LevelResult, bonus: u16, parameters: &M
     });
 }
 
-/// The lowest sure altitude around each cell, metres, and at most its own.
+/// The lowest certain altitude around each cell, metres, and at most its own.
 fn floor(grid: &Grid, found: &LevelResult) -> Vec<f32> {
     let own = found.altitude();
     let sure = |cell: usize| {

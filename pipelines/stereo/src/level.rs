@@ -11,15 +11,17 @@ use glam::Vec3;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_grid::statistics::upper_median;
 
-/// Least number of pixels of the smaller side of a level, however large the cells: fewer contain no window of the
-/// census.
+/// Least number of pixels of the smaller side of a level, for cells of any size: fewer contain no window of the census.
 const FEWEST_PIXELS: usize = 8;
 
 /// One view, averaged down to about one pixel per cell.
 #[derive(Debug, Clone)]
 pub(super) struct LevelView {
+    /// Camera of the averaged image.
     pub(super) camera: ProjectiveCamera,
+    /// Columns of the averaged image, pixels.
     pub(super) width: usize,
+    /// Rows of the averaged image, pixels.
     pub(super) height: usize,
     /// The mean of the bands.
     pub(super) mean: PixelPlane,
@@ -34,6 +36,7 @@ pub(super) struct LevelView {
 /// One plane of values that is compared.
 #[derive(Debug, Clone)]
 pub(super) struct PixelPlane {
+    /// Values, `[row][column]`; NaN where missing.
     pub(super) pixels: Vec<f32>,
     /// Median difference between neighbouring pixels of the whole image.
     pub(super) contrast: f32,
@@ -55,6 +58,8 @@ impl PixelPlane {
 }
 
 impl LevelView {
+    /// Averages a view down to about one pixel per cell of `cell_m` metres at `centre` (metres); `with_index` includes
+    /// its index.
     pub(super) fn new(view: &SweepView, cell_m: f32, centre: Vec3, with_index: bool) -> Self {
         let image_pixel_m = view.geometry().ground_sampling_m(centre);
         let ratio = (cell_m / image_pixel_m).round();
@@ -79,13 +84,13 @@ impl LevelView {
         }
     }
 
-    /// Ground distance between its pixels, metres.
+    /// Ground distance between the averaged pixels, metres.
     pub(super) fn pixel_m(&self) -> f32 {
         self.image_pixel_m * self.factor as f32
     }
 
-    /// Projects `count` points of a line of the ground into the image, into `places` from `start` on; lines in the
-    /// order of their places.
+    /// Projects `count` points of a line of the ground into the image and writes them to `places` from index `start`
+    /// on. Lines must be processed in the order of their places.
     pub(super) fn find_line(&self, line: &Line, start: usize, count: usize, places: &mut Places) {
         sampling::find(line, self.width, self.height, start, count, places);
     }
@@ -96,19 +101,19 @@ impl LevelView {
         sampling::bilinear(&plane.pixels, self.width, places, count, out);
     }
 
-    /// Bilinear value at a pixel position; NaN outside the image and next to missing pixels.
+    /// Bilinear brightness at a pixel position; NaN outside the image and next to missing pixels.
     #[inline]
     pub(super) fn sample(&self, col: f32, row: f32) -> f32 {
         self.sample_of(&self.mean, col, row)
     }
 
-    /// Sample of one of the planes.
+    /// Bilinear value of one of the planes at a pixel position; NaN outside the image and next to missing pixels.
     #[inline]
     pub(super) fn sample_of(&self, plane: &PixelPlane, col: f32, row: f32) -> f32 {
         heliosplat_grid::bilinear(&plane.pixels, (self.width, self.height), col, row)
     }
 
-    /// Bicubic value at a pixel position; NaN outside the image, in its outermost pixels and next to missing ones.
+    /// Bicubic brightness at a pixel position; NaN outside the image, in its outermost pixels and next to missing ones.
     #[inline]
     pub(super) fn sample_cubic(&self, col: f32, row: f32) -> f32 {
         // Written so that a NaN position fails the test too.

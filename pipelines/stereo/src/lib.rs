@@ -3,8 +3,8 @@
 //!
 //! From views to surface, step by step:
 //!
-//! 1. `views.rs`: the input, images with cameras, dates and suns; `pairs.rs`: which of them are compared, and with
-//!    which weight.
+//! 1. `views.rs`: the input, images with cameras, dates and suns; `pairs.rs`: the pairs of them to compare, with
+//!    weights.
 //! 2. `parameters.rs`: the matching parameters that depend on the scene, chosen from the views' geometry before any
 //!    pixel is read ([`MatchingParameters`]).
 //! 3. `request.rs`: the part of space to search and those parameters; [`Grid`](heliosplat_grid::Grid) and `heights.rs`:

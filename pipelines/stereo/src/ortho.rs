@@ -5,12 +5,13 @@ use heliosplat_grid::Grid;
 use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
-/// Value of a view at each cell of a surface; NaN where there is none.
+/// Bilinear brightness of a view at each cell of a surface with the altitudes `altitude` (metres); NaN outside the
+/// image and next to missing pixels.
 pub(super) fn ortho(grid: &Grid, view: &LevelView, altitude: &[f32]) -> Vec<f32> {
     grid.cells().map(|cell| shown(grid, view, altitude, cell)).collect()
 }
 
-/// Value of a view at one cell of a surface; NaN where there is none.
+/// Bilinear brightness of a view at one cell of a surface; NaN where there is none.
 fn shown(grid: &Grid, view: &LevelView, altitude: &[f32], cell: usize) -> f32 {
     let (col, row) = (cell % grid.width, cell / grid.width);
     let at = grid.point(col as isize, row as isize, altitude[cell]);
@@ -19,7 +20,7 @@ fn shown(grid: &Grid, view: &LevelView, altitude: &[f32], cell: usize) -> f32 {
 }
 
 /// The guide image of the smoothness penalties: mean of the views on a surface, each in units of its own typical
-/// difference between neighbours.
+/// difference between neighbours; NaN where no view shows the cell.
 pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f32> {
     let scale = |view: &LevelView| 1.0 / view.mean.contrast.max(f32::MIN_POSITIVE);
     let of_cell = |cell: usize| {
@@ -35,14 +36,14 @@ pub(super) fn guide(grid: &Grid, views: &[LevelView], altitude: &[f32]) -> Vec<f
     grid.cells().map(of_cell).collect()
 }
 
-/// A coarser grid's values on a finer one.
+/// Values of the grid `coarse`, whose cells are `factor` times as wide, repeated on the cells of `grid`.
 pub(super) fn repeated(grid: &Grid, coarse: &Grid, factor: usize, values: &[f32]) -> Vec<f32> {
     grid.cells()
         .map(|i| values[i / grid.width / factor * coarse.width + i % grid.width / factor])
         .collect()
 }
 
-/// The median of the values within `radius` cells each way.
+/// Median of the values within `radius` cells each way of each cell.
 pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
     let mut out = vec![0.0; grid.len()];
     out.par_chunks_mut(grid.width.max(1))
@@ -63,7 +64,8 @@ pub(super) fn median(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
     out
 }
 
-/// Means over square windows of the known values; NaN where less than half of a window is known.
+/// Mean of the finite values within `radius` cells each way of each cell; NaN where less than half of the window is
+/// finite.
 pub(super) fn box_mean(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
     let whole = (2 * radius + 1).pow(2);
     let width = grid.width;
@@ -75,7 +77,8 @@ pub(super) fn box_mean(grid: &Grid, values: &[f32], radius: usize) -> Vec<f32> {
             let (mut sums, mut counts) = (vec![0.0f32; width], vec![0u32; width]);
             for r in row.saturating_sub(radius)..(row + radius + 1).min(grid.height) {
                 let line = &values[r * width..(r + 1) * width];
-                // All cells of the row at once, neighbour by neighbour: each cell adds its own in the same order.
+                // All cells of the row at once, neighbour by neighbour: every cell sums its neighbours in the same
+                // order.
                 for aside in 0..=2 * radius {
                     let (first, skipped) = (radius.saturating_sub(aside), aside.saturating_sub(radius));
                     let near = line.get(skipped..).unwrap_or_default();

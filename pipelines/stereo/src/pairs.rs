@@ -10,8 +10,11 @@ use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 /// Two views to compare and the weight of the comparison.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Pair {
+    /// Index of the first view.
     pub(super) a: usize,
+    /// Index of the second view.
     pub(super) b: usize,
+    /// Weight of a comparison of brightness; 64 for a perfect pair.
     pub(super) weight: u32,
     /// True if both views are of one date.
     pub(super) same_date: bool,
@@ -20,12 +23,12 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    /// The weight of a comparison worth `share` of one of brightness.
+    /// Weight of a comparison with `share` of the weight of one of brightness; at least 1.
     pub(super) fn weight_of(&self, share: f32) -> u32 {
         ((self.weight as f32 * share) as u32).max(1)
     }
 
-    /// Its weight relative to a perfect pair, 0 to 1.
+    /// Weight of the pair relative to a perfect one, 0 to 1.
     pub(super) fn share(&self) -> f32 {
         self.weight as f32 / FULL_WEIGHT
     }
@@ -46,8 +49,8 @@ const UNKNOWN_SUN_COSINE: f32 = 0.8;
 /// Partners of each view, those of the largest weight; more only cost time.
 const PARTNERS: usize = 8;
 
-/// Pairs to compare, in a fixed order; views without parallax between them agree at every altitude and are not
-/// compared.
+/// Pairs to compare, in a fixed order: each view with the partners of largest weight at `centre`, metres. Views without
+/// parallax between them agree at every altitude and are not compared.
 pub(super) fn choose(views: &[ViewGeometry], centre: Vec3) -> Vec<Pair> {
     let mut chosen: Vec<(usize, usize)> = Vec::new();
     for a in 0..views.len() {
@@ -81,16 +84,17 @@ pub(super) fn combined_base_to_height(pairs: &[Pair]) -> f32 {
     pairs.iter().map(|pair| pair.base_to_height.powi(2)).sum::<f32>().sqrt()
 }
 
-/// The two views that look from farthest apart.
+/// The two views with the widest base.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Widest {
-    /// Their places among the views.
+    /// Indices of the two views.
     pub views: [usize; 2],
     /// Their base-to-height ratio.
     pub base_to_height: f32,
 }
 
-/// The two of `views`, two at least, with the largest angle at `centre` (metres in the frame of the cameras).
+/// The two of `views` (at least two) with the largest base-to-height ratio at `centre`, metres in the frame of the
+/// cameras.
 pub fn widest_base(views: &[ViewGeometry], centre: Vec3) -> Widest {
     let parallaxes: Vec<Vec2> = views.iter().map(|view| parallax(&view.camera, centre)).collect();
     let mut widest = Widest {
@@ -111,7 +115,7 @@ pub fn widest_base(views: &[ViewGeometry], centre: Vec3) -> Widest {
     widest
 }
 
-/// Largest base-to-height ratio of the comparisons.
+/// Largest base-to-height ratio of the comparisons; 0 without pairs.
 pub(super) fn widest_base_to_height(pairs: &[Pair]) -> f32 {
     pairs.iter().map(|pair| pair.base_to_height).fold(0.0, f32::max)
 }
@@ -129,7 +133,8 @@ fn weight(a: &ViewGeometry, b: &ViewGeometry, centre: Vec3) -> (f32, f32) {
     (weight_of_geometry(base_to_height, angle) * light, base_to_height)
 }
 
-/// Weight, 0 to 1, of two views by their base-to-height ratio and the angle between their rays, radians.
+/// Weight of two views, 0 to 1, by their base-to-height ratio and the angle between their rays, radians: `b / (b +
+/// HALF_WEIGHT_BASE) · exp(-(angle_rad / ALIKE_ANGLE_RAD)²)` for the ratio `b`.
 pub fn weight_of_geometry(base_to_height: f32, angle_rad: f32) -> f32 {
     base_to_height / (base_to_height + HALF_WEIGHT_BASE) * (-(angle_rad / ALIKE_ANGLE_RAD).powi(2)).exp()
 }

@@ -7,9 +7,9 @@
 //! - the number of views of a piece of ground: [`MANY_VIEWS`] views seldom agree by chance, so false matches need less
 //!   protection; between [`FEW_VIEWS`] and as many the parameters change in proportion;
 //! - the combined base-to-height ratio: noise in height grows with its inverse, and so does the window that averages it
-//!   out; few views get a window whatever their ratio: one to six comparisons of single cells find too many heights by
+//!   out; few views get a window at any ratio, because one to six comparisons of single cells find too many heights by
 //!   chance;
-//! - whether every view has an index plane (a vegetation index): then it is compared along with brightness.
+//! - index planes (a vegetation index), which are compared along with brightness if every view has one.
 //!
 //! Constants without a source were chosen by experiment; docs/lab/plane-sweep.md has the tables.
 
@@ -36,7 +36,7 @@ const FLOOR_BONUS: u16 = 150;
 const VISIBILITY_ROUNDS: usize = 1;
 /// Cost of a change by one height step between neighbours (P1 of Hirschmüller 2008), in units of a full mismatch / 255.
 const ONE_STEP_PENALTY: u16 = 30;
-/// Cost of a larger change (P2) with few views, in the same units.
+/// Cost of a larger change (P2 of Hirschmüller 2008) with few views, in units of a full mismatch / 255.
 const JUMP_PENALTY_FEW: u16 = 90;
 /// Penalty of a jump with many views, which show roofs and trees well enough for steeper edges.
 const JUMP_PENALTY_MANY: u16 = 60;
@@ -48,7 +48,7 @@ const NOISE_FLOOR: f32 = 0.16;
 /// No-match weight with few views, as a share of the weights of all comparisons between the views of a cell: heights
 /// that few of these see must not win by chance.
 const NO_MATCH_FEW: f32 = 0.08;
-/// Weight of no match with many views.
+/// No-match weight with many views, as a share of the weights of all comparisons between the views of a cell.
 const NO_MATCH_MANY: f32 = 0.03;
 /// Weight of a comparison of index planes relative to one of brightness.
 const INDEX_WEIGHT: f32 = 0.5;
@@ -73,7 +73,8 @@ const SINGLE_CELL_BASE_TO_HEIGHT: f32 = 0.8;
 /// altitudes around a cell, about 68 % of the errors on `block` and `tiny`, seed 1, lie within one deviation
 /// (docs/lab/known.md).
 pub(super) const COST_PER_E_FOLD: f32 = 30.0;
-/// Least radius of the aggregation window, cells, up to [`FEW_VIEWS`]; with more views single cells are better (docs/lab/plane-sweep.md).
+/// Least radius of the aggregation window, cells, up to [`FEW_VIEWS`] views; with more views single cells are better
+/// (docs/lab/plane-sweep.md).
 const FEW_VIEWS_RADIUS: f32 = 2.0;
 /// Largest radius of the aggregation window, cells; reached at a combined base-to-height ratio of 0.133.
 const LARGEST_RADIUS: f32 = 6.0;
@@ -146,16 +147,16 @@ pub fn no_match_weight(views: f32) -> f32 {
 /// full mismatch / 255, summed over the eight paths.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct CandidateTolerance {
-    /// In cells of the requested size.
+    /// Tolerance on the level with cells of the requested size.
     pub full_resolution: u16,
-    /// In cells of twice that size.
+    /// Tolerance on the level with cells of twice that size.
     pub half_resolution: u16,
-    /// In larger cells.
+    /// Tolerance on the levels with larger cells.
     pub coarser: u16,
 }
 
 impl CandidateTolerance {
-    /// The tolerance in cells `factor` times as wide as requested.
+    /// The tolerance on the level whose cells are `factor` times as wide as requested.
     pub(super) fn at(&self, factor: usize) -> u16 {
         match factor {
             1 => self.full_resolution,
@@ -181,19 +182,19 @@ pub struct MatchingParameters {
     pub same_date_weight: Option<f32>,
     /// Weight of a comparison of index planes relative to one of brightness; `None` compares brightness alone.
     pub index_weight: Option<f32>,
-    /// Cost of a change by one height step between neighbours (P1).
+    /// Cost of a change by one height step between neighbours (P1 of Hirschmüller 2008).
     pub one_step_penalty: u16,
-    /// Cost of a larger change between neighbours (P2).
+    /// Cost of a larger change between neighbours (P2), where the guide image has no edge.
     pub jump_penalty: u16,
     /// Difference of the guide image between neighbours, in its typical differences, that halves the cost of a jump
     /// there.
     pub guide_edge: f32,
-    /// Summed cost by which a height of another minimum is e times less probable than the chosen one: cells along a path
-    /// of the aggregation share the comparisons of their windows, which therefore count as often as a window is wide.
+    /// Summed cost by which a height of another minimum is e times less probable than the chosen one. It grows with the
+    /// width of the window, because cells along a path of the aggregation share the comparisons of their windows.
     pub alternative_cost: f32,
-    /// Heights that remain candidates from one search to the next.
+    /// Summed cost above the least within which a height remains a candidate for the next search.
     pub candidate_tolerance: CandidateTolerance,
-    /// Reduction of the summed cost of the floor beneath an uncertain surface; 0 for none.
+    /// Reduction of the summed cost of the floor below an uncertain surface; 0 for none.
     pub floor_bonus: u16,
     /// Rounds at full resolution in which views hidden by the surface found so far are left out.
     pub visibility_rounds: usize,
@@ -204,7 +205,7 @@ pub struct MatchingParameters {
 }
 
 impl MatchingParameters {
-    /// Decides all parameters from the facts.
+    /// Chooses all parameters from the facts.
     pub fn choose(facts: &MatchingFacts) -> Self {
         let many = many_views_share(facts.views);
         let between = |few: u16, all: u16| (f32::from(few) + (f32::from(all) - f32::from(few)) * many).round() as u16;

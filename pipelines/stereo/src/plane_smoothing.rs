@@ -14,9 +14,9 @@ use rayon::prelude::*;
 const ENOUGH_CONFIDENCE: f64 = 256.0;
 /// Radius of the widest adaptive window, in least radii.
 const WIDEST_GROWTH: f32 = 6.0;
-/// Steps in which a window grows up to there, each by the same factor.
+/// Number of steps in which a window grows to its widest, each by the same factor.
 const GROWTH_STEPS: usize = 12;
-/// Samples of an adaptive window from its centre to its edge: 15 × 15 in all, however wide it is.
+/// Samples of an adaptive window from its centre to its edge: 15 × 15 in all, for windows of any width.
 const SAMPLES: usize = 7;
 /// Rounds of iteratively reweighted least squares.
 const ROUNDS: usize = 3;
@@ -26,8 +26,8 @@ const STIFFNESS: f64 = 1e-3;
 /// Cells that one task smooths at least: smaller tasks cost more to share out than to compute.
 const CELLS_PER_TASK: usize = 1024;
 
-/// Each altitude replaced by that of the plane through the window of `radius` cells around it, fitted to the cells
-/// within `tolerance_m` of the window's median, so that a wall in the window does not tilt it.
+/// Altitudes (metres), each replaced by that of a plane fitted to the window within `radius` cells. Only cells within
+/// `tolerance_m` of the window's median count, so that a wall in the window does not tilt the plane.
 pub(super) fn smooth(grid: &Grid, altitude: &[f32], radius: usize, tolerance_m: f32) -> Vec<f32> {
     (0..grid.len())
         .into_par_iter()
@@ -52,9 +52,9 @@ fn plane_at(grid: &Grid, altitude: &[f32], cell: usize, radius: usize, tolerance
     middle + fit.plane(STIFFNESS)[0] as f32
 }
 
-/// Each altitude replaced by that of a plane through a window that grows from `least_radius` cells until it holds
-/// [`ENOUGH_CONFIDENCE`] (`confidence` is 0 to 1 per cell). Samples further than about `tolerance_m` from the plane
-/// count less (Cauchy's weights, Holland and Welsch 1977), so that the plane stays that of one face.
+/// Altitudes (metres), each replaced by that of a plane fitted to a window that grows from `least_radius` cells until
+/// it contains [`ENOUGH_CONFIDENCE`] (`confidence` is 0 to 1 per cell). Samples further than about `tolerance_m` from
+/// the plane count less (Cauchy's weights, Holland and Welsch 1977), so that the plane stays that of one face.
 pub(super) fn smooth_adaptively(
     grid: &Grid,
     altitude: &[f32],

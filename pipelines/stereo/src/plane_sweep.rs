@@ -34,7 +34,8 @@ const SPECKLE_CELLS: usize = 16;
 /// Probability above which an altitude is not in doubt.
 const SURE_PROBABILITY: f32 = 0.8;
 
-/// Finds the surface on which the views agree. `progress` receives the share done, 0 to 1.
+/// Surface on which the views agree: one altitude per cell of the request, metres in the frame of the cameras.
+/// `progress` receives the share done, 0 to 1.
 pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &dyn Fn(f32)) -> Surface {
     let grid = request.grid();
     let search = Search::new(views, request).with_index();
@@ -87,7 +88,8 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     }
 }
 
-/// The altitudes of that surface on the cells of the request, metres, for callers that need nothing else.
+/// Altitudes of the surface that [`plane_sweep()`] finds, one per cell of the request, metres, for callers that need
+/// nothing else.
 pub(super) fn swept_altitudes(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<f32> {
     let search = Search::new(views, request).with_index();
     Swept::new(&search, &|_| {}).altitude
@@ -99,9 +101,9 @@ struct Swept {
     found: LevelResult,
     /// Altitudes before the floor was preferred, metres.
     as_matched: Vec<f32>,
-    /// Altitudes, metres.
+    /// Altitudes after post-processing, metres.
     altitude: Vec<f32>,
-    /// Margins over the second-best.
+    /// Margins over the second-best height, 0 to 1.
     confidence: Vec<f32>,
     /// Speckles that were filled.
     filled: Vec<bool>,

@@ -17,8 +17,8 @@ pub(super) fn speckles(grid: &Grid, altitude: &[f32], step_m: f32, fewest: usize
     speckle
 }
 
-/// Hands each connected patch of cells to `visit`, by its cells: neighbours that share a side belong to one patch when
-/// they are `together`. Cells marked in `seen` belong to none.
+/// Calls `visit` with the cells of each connected patch: neighbours that share a side belong to one patch when they are
+/// `together`. Cells marked in `seen` belong to none.
 fn for_each_patch(
     grid: &Grid,
     mut seen: Vec<bool>,

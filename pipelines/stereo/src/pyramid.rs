@@ -39,16 +39,21 @@ const UNLIKE: f32 = 1.5;
 pub(super) struct Compared {
     /// The views of the search, followed by finer ones reduced to the resolution of their partners.
     pub(super) views: Vec<LevelView>,
-    /// Pairs of these.
+    /// Pairs of `views` to compare.
     pub(super) pairs: Vec<Pair>,
 }
 
-/// Search volume and views, the same on every level.
+/// Search volume, views and pairs, which all levels share.
 pub(super) struct Search<'a> {
+    /// Views of the search.
     pub(super) views: &'a [SweepView<'a>],
+    /// Volume and parameters of the search.
     pub(super) request: &'a PlaneSweepRequest,
+    /// Cells of the request.
     pub(super) grid: Grid,
+    /// Point at which viewing directions are taken, metres.
     pub(super) centre: Vec3,
+    /// Pairs of `views` to compare.
     pub(super) pairs: Vec<Pair>,
     /// Weight of a comparison of index planes relative to one of brightness, where they are compared.
     pub(super) index_weight: Option<f32>,
@@ -56,17 +61,19 @@ pub(super) struct Search<'a> {
 
 /// The heights chosen at one level.
 pub(super) struct LevelResult {
+    /// Cells of this level.
     pub(super) grid: Grid,
     /// Cells of the request per cell of this level.
     pub(super) factor: usize,
     /// Height step of this level, metres.
     pub(super) step_m: f32,
+    /// Chosen height of each cell.
     pub(super) choices: Vec<HeightChoice>,
     /// Height hypotheses of this level.
     pub(super) heights: HeightHypotheses,
     /// Search ranges of the cells.
     pub(super) ranges: SearchRanges,
-    /// Summed costs of these.
+    /// Summed costs of all height levels of all cells, in the order of `ranges`; empty where no new choice follows.
     pub(super) sums: Vec<u16>,
 }
 
@@ -100,7 +107,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The same, also comparing index planes where the request includes them and every view has one.
+    /// The search, also comparing index planes where the request includes them and every view has one.
     pub(super) fn with_index(self) -> Self {
         let all_have_one = self.views.iter().all(|view| view.index.is_some());
         Self {
@@ -109,7 +116,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Factors from the coarsest useful level down to `finest`.
+    /// Cells of the request per cell of each level, from the coarsest useful one down to `finest`.
     pub(super) fn factors(&self, finest: usize) -> Vec<usize> {
         let side = self.grid.width.min(self.grid.height);
         let mut factors = Vec::new();
@@ -135,7 +142,7 @@ impl<'a> Search<'a> {
         found
     }
 
-    /// The views averaged down for a level.
+    /// The views averaged down to the level whose cells are `factor` times as wide as requested.
     pub(super) fn level_views(&self, factor: usize) -> Vec<LevelView> {
         let cell_m = self.grid.cell_m * factor as f32;
         let with_index = self.index_weight.is_some();
@@ -143,8 +150,8 @@ impl<'a> Search<'a> {
         self.views.par_iter().map(one).collect()
     }
 
-    /// The views of a level for comparison. In a pair of unequal resolution the finer view is reduced to that of the
-    /// coarser one, whose census has no finer detail.
+    /// The views for comparison on the level whose cells are `factor` times as wide as requested. In a pair of unequal
+    /// resolution the finer view is reduced to that of the coarser one, whose census has no finer detail.
     pub(super) fn compared(&self, factor: usize) -> Compared {
         let mut views = self.level_views(factor);
         let with_index = self.index_weight.is_some();
@@ -170,8 +177,9 @@ impl<'a> Search<'a> {
         Compared { views, pairs }
     }
 
-    /// Searches one level: all heights, or those around the candidates of a coarser (or equal) level; with `hits`, one
-    /// for each view compared, hidden cells of a view are left out.
+    /// Searches the level whose cells are `factor` times as wide as requested: all heights, or with `before` those
+    /// around the candidates of that coarser (or equal) level. With `hits`, one for each compared view, cells hidden
+    /// from a view are left out.
     pub(super) fn level(&self, factor: usize, before: Option<&LevelResult>, hits: Option<&[FirstHits]>) -> LevelResult {
         let grid = self.grid.coarser(factor);
         let part = stage("views");

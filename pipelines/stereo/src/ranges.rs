@@ -8,16 +8,17 @@ use heliosplat_grid::Grid;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Per cell, the first level and where its values lie in a flat volume.
+/// Search range of each cell: its first level, and the position of its values in a flat volume.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct SearchRanges {
+    /// First level of each cell.
     pub(super) low: Vec<u16>,
     /// `start[cell]..start[cell + 1]` are the values of a cell.
     pub(super) start: Vec<usize>,
 }
 
 impl SearchRanges {
-    /// All levels in each of `cells` cells.
+    /// Ranges of all levels for each of `cells` cells.
     pub(super) fn full(cells: usize, heights: &HeightHypotheses) -> Self {
         Self {
             low: vec![0; cells],
@@ -59,7 +60,7 @@ impl SearchRanges {
         Self { low, start }
     }
 
-    /// Levels of a cell.
+    /// Number of levels of a cell.
     pub(super) fn count(&self, cell: usize) -> usize {
         self.start[cell + 1] - self.start[cell]
     }
@@ -69,7 +70,7 @@ impl SearchRanges {
         self.start[cell]..self.start[cell + 1]
     }
 
-    /// Values of all cells together.
+    /// Number of values of all cells together.
     pub(super) fn total(&self) -> usize {
         *self.start.last().unwrap_or(&0)
     }

@@ -18,6 +18,7 @@ pub struct PlaneSweepRequest {
 }
 
 impl PlaneSweepRequest {
+    /// Cells of the volume; their numbers along both axes are rounded.
     pub(super) fn grid(&self) -> Grid {
         let volume = &self.volume;
         let cells = |from: f32, to: f32| (((to - from) / volume.cell_m).round().max(0.0)) as usize;
@@ -30,6 +31,7 @@ impl PlaneSweepRequest {
         }
     }
 
+    /// Point at which viewing directions are taken, metres.
     pub(super) fn centre(&self) -> Vec3 {
         self.centre
     }

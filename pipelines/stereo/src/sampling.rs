@@ -19,18 +19,18 @@ pub(super) struct Line {
 /// Positions in an image, each between four pixels.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Places {
-    /// The upper left of four pixels.
+    /// Index of the upper left of the four pixels.
     index: Vec<u32>,
     /// Fraction of the column; NaN outside the image.
     across: Vec<f32>,
     /// Fraction of the row.
     down: Vec<f32>,
-    /// The pixel nearest to each; the first one outside the image.
+    /// Index of the pixel nearest to each position; 0 outside the image.
     nearest: Vec<u32>,
 }
 
 impl Places {
-    /// Room for `count`, and for the rest of the last [`POINTS`].
+    /// Room for `count` positions and for the rest of a last group of [`POINTS`].
     pub(super) fn new(count: usize) -> Self {
         let room = count + POINTS;
         Self {
@@ -41,7 +41,7 @@ impl Places {
         }
     }
 
-    /// The pixel nearest to each; the first one outside the image.
+    /// Index of the pixel nearest to each position; 0 outside the image.
     pub(super) fn nearest(&self) -> &[u32] {
         &self.nearest
     }
@@ -117,7 +117,8 @@ vectorised! {
             let (Some(upper), Some(upper_right), Some(lower), Some(lower_right)) =
                 (corner(0), corner(1), corner(width), corner(width + 1))
             else {
-                // Behind the last place may be some of a larger image, and an image may be too small for any place.
+                // Entries behind the last place may stem from a larger image, and an image may be too small for any
+                // place.
                 for l in 0..POINTS {
                     let pixel = |step: usize| pixels.get(index[l] as usize + step).copied().unwrap_or(f32::NAN);
                     let top = pixel(0) + (pixel(1) - pixel(0)) * across[l];

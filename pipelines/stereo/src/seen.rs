@@ -1,11 +1,11 @@
 //! Visibility of a surface: the views that see each cell at its altitude, and their base-to-height ratio.
 //!
-//! One image alone does not determine an altitude, so a cell visible in fewer than [`FEWEST_VIEWS`] is unknown,
-//! whatever was matched there. Views without parallax between them, such as an image and its copy, count as one. Where
-//! the data of images end, views overlap at some altitudes only, and the sweep finds one of those, whatever the ground
-//! is. So a view counts only where it would also show the place at the altitude of the ground around. Pits of such
-//! mismatches do not count as ground. The caller marks the cells that occlude others, so that towers of mismatches hide
-//! nothing.
+//! One image alone does not determine an altitude, so a cell visible in fewer than [`FEWEST_VIEWS`] is unknown, even
+//! where an altitude was matched. Views without parallax between them, such as an image and its copy, count as one.
+//! Where the data of images end, views overlap at some altitudes only, and the sweep finds one of those regardless of
+//! the ground. So a view counts only where it would also show the place at the altitude of the ground around. Pits of
+//! such mismatches do not count as ground. The caller marks the cells that occlude others, so that towers of mismatches
+//! hide nothing.
 
 use super::views::parallax;
 use super::visibility::{FirstHits, Standing};
@@ -114,7 +114,7 @@ struct Station {
     parallax: Vec2,
 }
 
-/// The stations that a surface is seen from, by its middle.
+/// Groups of views without parallax between them, at the middle of a surface.
 fn stations(cameras: &[ProjectiveCamera], grid: &Grid, altitude_m: &[f32]) -> Vec<Station> {
     let (mut sum, mut count) = (0.0f64, 0usize);
     for z in altitude_m.iter().filter(|z| z.is_finite()) {
@@ -332,7 +332,7 @@ mod tests {
     #[test]
     fn where_data_meet_above_the_ground_alone_nothing_is_known() {
         const SIDE: usize = 60;
-        // The same as at the borders of images: the east of both is missing.
+        // As at the borders of images, the east of both is missing.
         let cameras = [camera(-1.0, SIDE), camera(1.0, SIDE)];
         let altitude: Vec<f32> = (0..SIDE * SIDE)
             .map(|i| if i % SIDE >= 30 { 0.0 } else { -10.0 })

@@ -9,7 +9,8 @@ use super::ranges::SearchRanges;
 use heliosplat::vectorised;
 use rayon::prelude::*;
 
-/// Path costs stay far below this: 255 plus the large penalty.
+/// Cost of a level that the cell before did not search: far above all path costs, which are at most 255 plus the large
+/// penalty.
 const UNREACHABLE: u16 = 20_000;
 
 /// Columns that one task takes through a row: enough work for a task.
@@ -20,20 +21,25 @@ const CHUNK: usize = 64;
 pub(super) struct Penalties {
     /// P1: one height step up or down, in units of cost (0..255).
     pub(super) one_step: u16,
-    /// P2: any other change, where the guide shows no edge.
+    /// P2: any other change where the guide shows no edge, in units of cost (0..255).
     pub(super) jump: u16,
-    /// Difference of the guide at which P2 is half.
+    /// Difference of the guide image at which P2 is half, in its typical differences between neighbours.
     pub(super) edge: f32,
 }
 
 /// A cost volume to aggregate.
 pub(super) struct Volume<'a> {
+    /// Number of columns.
     pub(super) width: usize,
+    /// Number of rows.
     pub(super) height: usize,
+    /// Search range of each cell.
     pub(super) ranges: &'a SearchRanges,
+    /// Matching costs, 0 to 255, in the order of `ranges`.
     pub(super) costs: &'a [u8],
-    /// An image of the ground, one value per cell.
+    /// Guide image, one value per cell, NaN where missing; `None` without one.
     pub(super) guide: Option<&'a [f32]>,
+    /// Penalties of a change of altitude between neighbours.
     pub(super) penalties: Penalties,
 }
 
@@ -228,8 +234,8 @@ vectorised! {
 }
 
 vectorised! {
-    /// `out[d] = cost[d] + min(before[d], before[d ± 1] + one, least + jump) -
-    /// least`, `before` shifted by one; returns the least of `out`.
+    /// `out[d] = costs[d] + min(before[d], before[d ± 1] + one, least + jump) - least`, where `before` begins one level
+    /// lower than `costs`; returns the least of `out`.
     fn recurse(costs: &[u8], before: &[u16], least: u16, one: u16, jump: u16, out: &mut [u16]) -> u16 {
         let n = costs.len().min(out.len());
         let (below, same, above) = (&before[..n], &before[1..n + 1], &before[2..n + 2]);

@@ -4,7 +4,7 @@ use super::seen::FEWEST_VIEWS;
 use glam::Vec3;
 use heliosplat_grid::{Grid, lowest_within};
 
-/// Probability from which on an altitude is known: chance would not have it.
+/// Least probability of a known altitude: that of all other altitudes together.
 const KNOWN_PROBABILITY: f32 = 0.5;
 
 /// Altitudes on a regular ground grid, with their uncertainties.
@@ -34,16 +34,16 @@ pub struct Surface {
     pub matched: Vec<bool>,
     /// Number of views that see each cell at its altitude.
     pub views: Vec<u8>,
-    /// Base-to-height ratio of these views, as [`Witnesses`](super::Witnesses) have it.
+    /// Base-to-height ratio of these views, defined as in [`Witnesses`](super::Witnesses).
     pub base_to_height: Vec<f32>,
     /// Step of the height hypotheses, metres: the height resolution of the views.
     pub resolution_m: f32,
-    /// Cells whose altitude was not matched but taken from their neighbours.
+    /// One flag for each cell, true if its altitude was not matched but taken from its neighbours.
     pub filled: Vec<bool>,
 }
 
 impl Surface {
-    /// True if every cell has its altitude, its confidence and its flag.
+    /// True if every list has one entry per cell.
     pub fn is_whole(&self) -> bool {
         let cells = self.width.checked_mul(self.height);
         [
@@ -62,7 +62,7 @@ impl Surface {
     }
 
     /// True if the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there and agree better than by
-    /// chance, and it is more probable than all other altitudes together.
+    /// chance, and its probability is at least that of all other altitudes together.
     pub fn is_known(&self, cell: usize) -> bool {
         self.is_supported(cell) && self.probability[cell] >= KNOWN_PROBABILITY
     }
@@ -73,12 +73,12 @@ impl Surface {
         self.views[cell] >= FEWEST_VIEWS && self.matched[cell]
     }
 
-    /// The cells that are supported.
+    /// Mask of the cells for which [`Self::is_supported`] is true, `[row][column]`.
     pub fn supported(&self) -> Vec<bool> {
         (0..self.altitude.len()).map(|cell| self.is_supported(cell)).collect()
     }
 
-    /// Its cells.
+    /// Grid of the cells.
     pub fn grid(&self) -> Grid {
         Grid {
             width: self.width,
@@ -89,12 +89,12 @@ impl Surface {
         }
     }
 
-    /// True if the ground position lies on the grid.
+    /// True if a ground position (metres) lies on the grid.
     pub fn contains(&self, x_m: f32, y_m: f32) -> bool {
         self.cell_at(x_m, y_m).is_some()
     }
 
-    /// Index of the cell that holds a ground position; `None` off the grid.
+    /// Index of the cell that contains a ground position (metres); `None` off the grid.
     pub fn cell_at(&self, x_m: f32, y_m: f32) -> Option<usize> {
         let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);
         let inside = col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32;
@@ -110,8 +110,8 @@ impl Surface {
         )
     }
 
-    /// Altitude at a ground position, bilinear between cell centres and constant beyond the outermost ones; the cell's
-    /// own where one of the four is unknown, so that guesses do not distort it. `None` off the grid.
+    /// Altitude at a ground position, metres, bilinear between cell centres and constant beyond the outermost ones; the
+    /// cell's own where one of the four is unknown, so that guesses do not distort it. `None` off the grid.
     pub fn altitude_at(&self, x_m: f32, y_m: f32) -> Option<f32> {
         let own = self.cell_at(x_m, y_m)?;
         let col = ((x_m - self.west_m) / self.cell_m - 0.5).clamp(0.0, self.width as f32 - 1.0);

@@ -39,7 +39,7 @@ impl ViewGeometry {
         if det > 0.0 { det.sqrt().recip() } else { f32::INFINITY }
     }
 
-    /// Unit vector from the scene toward the camera.
+    /// Unit vector from `centre` (metres) toward the camera, in the frame of the camera.
     pub fn toward(&self, centre: Vec3) -> Vec3 {
         let (col, row, _) = self.camera.project(centre);
         -self.camera.ray_direction(col, row)
@@ -63,7 +63,7 @@ pub struct SweepView<'a> {
 }
 
 impl SweepView<'_> {
-    /// The view without its pixels.
+    /// Viewing geometry and light of the view.
     pub fn geometry(&self) -> ViewGeometry {
         ViewGeometry {
             camera: self.camera,

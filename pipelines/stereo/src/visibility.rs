@@ -1,14 +1,14 @@
 //! Visibility: for each pixel of a view, the altitude at which its ray meets the surface first; a point below that is
 //! hidden.
 //!
-//! Rays are walked down over the grid in steps of less than a cell, from an altitude that the highest cells under them
-//! bound.
+//! Rays are walked down over the grid in steps of less than a cell, from an altitude that is bounded by the highest
+//! cells under them.
 
 use heliosplat::ProjectiveCamera;
 use heliosplat_grid::{Grid, lowest_within};
 use rayon::prelude::*;
 
-/// Altitude at which the ray of each pixel meets the surface first; below it nothing is seen.
+/// Altitude at which the ray of each pixel meets the surface first, metres; points below it are hidden.
 pub(super) struct FirstHits {
     altitude: Vec<f32>,
     /// A point this far below the first hit may still be the surface itself.
@@ -22,7 +22,7 @@ const TILE: usize = 16;
 const STEP_CELLS: f32 = 0.7;
 /// Rounds of lowering the start of a ray by the tiles under it.
 const BOUND_ROUNDS: usize = 2;
-/// Cells each way whose lowest altitude hides: a surface one cell too wide hides nothing.
+/// Cells each way to whose lowest altitude an occluder is lowered, so that a surface one cell too wide hides nothing.
 const EDGE_CELLS: usize = 1;
 
 /// A surface as an occluder.
@@ -93,7 +93,7 @@ impl HighestTiles {
 }
 
 impl FirstHits {
-    /// The first hits of the pixels of `camera` on a surface.
+    /// First hits of the rays of all pixels of `camera` on a surface.
     pub(super) fn new(camera: &ProjectiveCamera, surface: &Standing) -> Self {
         let Standing {
             grid,
@@ -122,7 +122,7 @@ impl FirstHits {
         }
     }
 
-    /// True if a point that projects into a pixel lies behind the surface.
+    /// True if the surface hides a point at an altitude, metres, that projects into a pixel (index in row order).
     #[inline]
     pub(super) fn hides(&self, pixel: usize, altitude_m: f32) -> bool {
         altitude_m + self.tolerance_m < self.altitude[pixel]

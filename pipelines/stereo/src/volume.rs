@@ -22,7 +22,7 @@ pub struct SearchVolume {
 }
 
 impl SearchVolume {
-    /// Its middle, metres.
+    /// Middle of the volume, metres.
     pub fn centre(&self) -> Vec3 {
         Vec3::new(
             0.5 * (self.west_m + self.east_m),

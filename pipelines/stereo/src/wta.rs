@@ -12,6 +12,7 @@ use rayon::prelude::*;
 /// The winner of one cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct HeightChoice {
+    /// Chosen altitude, metres.
     pub(super) altitude_m: f32,
     /// Lowest and highest altitude that stay candidates for the next search, metres.
     pub(super) candidates: (f32, f32),
@@ -27,7 +28,8 @@ pub(super) struct HeightChoice {
 const SAME_VALLEY: usize = 2;
 
 /// Chooses an altitude for every cell. Local minima whose summed cost lies at most `tolerance` above the least stay
-/// candidates for the next search. A level of another minimum is e times less probable for each `alternative_cost` more.
+/// candidates for the next search. A level of another minimum is e times less probable per `alternative_cost` of
+/// additional summed cost.
 pub(super) fn winner_takes_all(
     ranges: &SearchRanges,
     heights: &HeightHypotheses,
@@ -49,7 +51,8 @@ pub(super) fn winner_takes_all(
         .collect()
 }
 
-/// The winner of one cell, whose first level is `low`.
+/// Winner of one cell from the summed costs of its levels, the first of which is `low`; `tolerance` and
+/// `alternative_cost` are those of [`winner_takes_all`].
 pub(super) fn winner(
     sums: &[u16],
     low: usize,

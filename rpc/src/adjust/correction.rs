@@ -9,7 +9,7 @@ pub enum BiasModel {
     /// One shift for the whole image.
     #[default]
     Translation,
-    /// A shift, and a change of it that is linear along columns and rows: rotation, scale and drift.
+    /// A shift with linear terms along columns and rows: rotation, scale and drift.
     Affine,
 }
 
@@ -19,7 +19,7 @@ pub enum BiasModel {
 /// `col += shift_px[0] + slope_px[0][0] u + slope_px[0][1] v`, `row` likewise with the second entries.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Correction {
-    /// Columns and rows at the image's centre, pixels.
+    /// Offset of columns and rows at the image's centre, pixels.
     pub shift_px: [f64; 2],
     /// Change of the correction of columns (first) and rows (second) from the centre to the edge, along columns and
     /// rows, pixels.
@@ -31,7 +31,7 @@ pub struct Correction {
 }
 
 impl Correction {
-    /// No correction of an image of this size.
+    /// A correction of zero for an image of `width` by `height` pixels.
     pub fn none(width: usize, height: usize) -> Self {
         Self {
             shift_px: [0.0; 2],
@@ -50,7 +50,7 @@ impl Correction {
         [0, 1].map(|axis| self.shift_px[axis] + self.slope_px[axis][0] * u + self.slope_px[axis][1] * v)
     }
 
-    /// A projected position, corrected.
+    /// Corrected position: `projected` plus its offset.
     pub fn apply(&self, projected: ImagePoint) -> ImagePoint {
         let [col, row] = self.at(projected);
         ImagePoint {
@@ -59,7 +59,7 @@ impl Correction {
         }
     }
 
-    /// True if the correction is the same all over the image.
+    /// True if the offset is constant over the image.
     pub fn is_translation(&self) -> bool {
         self.slope_px == [[0.0; 2]; 2]
     }

@@ -4,28 +4,28 @@ use super::correction::Correction;
 use crate::fit::fit_rpc;
 use crate::rpc::{ImagePoint, Rpc, RpcError};
 
-/// Samples along columns, rows and heights for a refitted camera.
+/// Samples along each of columns and rows, and along heights, for a refitted camera.
 const GRID: (usize, usize) = (13, 9);
 /// Validity of a refitted camera beyond its image, as a share of the image's size.
 const MARGIN: f64 = 0.1;
 
-/// A camera with a correction in it.
+/// A camera that contains a correction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CorrectedRpc {
     /// The camera.
     pub rpc: Rpc,
-    /// Largest distance from camera and correction apart, pixels: 0 for a shift.
+    /// Largest distance to the projection of the original camera with its correction, pixels; 0 for a shift.
     pub max_px: f64,
 }
 
-/// The camera that projects as `rpc` with `correction` added.
+/// The camera that projects as `rpc` with `correction` added; the image has `width` by `height` pixels.
 ///
 /// A shift goes into `LINE_OFF` and `SAMP_OFF` and is exact everywhere. A rational camera of two denominators cannot
-/// contain rotation and drift: a new one is fitted over the image with a margin of a tenth and over `heights_m`, and is
-/// valid there only.
+/// contain rotation and drift: a new one is fitted over the image with a margin of a tenth and over the ellipsoidal
+/// heights `heights_m` (lowest, highest), and is valid there only.
 ///
 /// # Errors
-/// When the camera to be refitted cannot be localised over its image.
+/// For a correction that is no shift: the errors of `Rpc::localise` over the image, and of `fit_rpc`.
 pub fn corrected_rpc(
     rpc: &Rpc,
     correction: &Correction,

@@ -7,23 +7,24 @@ use crate::triangulate::geo_slope;
 use heliosplat_grid::statistics::upper_median;
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
-/// Pixels per metre east, north and up of each image at one ground point: the effect of a translation of the scene.
+/// Derivative of the image position by the ground point at `enu_m`, pixels per metre east, north and up: the effect of
+/// a translation of the scene.
 pub fn pixels_per_metre(rpc: &Rpc, frame: &LocalFrame, enu_m: Vector3<f64>) -> Matrix2x3<f64> {
     let (_, by_geo) = rpc.project_with_jacobian(frame.geo_from_enu(enu_m));
     by_geo * geo_slope(frame, enu_m)
 }
 
-/// Shifts this many times as long as their median, or more, do not enter the translation of the scene: such a camera
-/// has an error of its own.
+/// Length of a shift, in median lengths, above which it does not enter the translation of the scene: such a camera has
+/// an error of its own.
 const FAR_OFF_MEDIANS: f64 = 4.0;
 /// Median below which no shift counts as an outlier, pixels: the usual spread of one vendor's cameras.
 const LEAST_MEDIAN_PX: f64 = 0.5;
 
-/// The smallest of all sets of shifts (columns, rows) that differ by a translation of the scene, and that translation,
-/// metres.
+/// The smallest of all sets of shifts (columns, rows; pixels) that differ by a translation of the scene, and that
+/// translation (east, north, up; metres).
 ///
 /// `slopes` are the images' [`pixels_per_metre`]: shifts `s_i` and `s_i - slopes_i t` fit all ties alike for any `t`.
-/// The smallest are those of least squares over all images but those far off (`FAR_OFF_MEDIANS`), so that one wrong
+/// The smallest have the least sum of squares over all images without outliers (`FAR_OFF_MEDIANS`), so that one wrong
 /// camera does not move the scene.
 pub fn smallest_shifts(shifts: &[Vector2<f64>], slopes: &[Matrix2x3<f64>]) -> (Vec<Vector2<f64>>, Vector3<f64>) {
     let moved =

@@ -1,4 +1,4 @@
-//! One sighting, linearised: its residual and how the ground point and the correction move it.
+//! One sighting, linearised: its residual, and its derivatives by ground point and correction.
 
 use nalgebra::{Matrix2x3, SMatrix, Vector2};
 
@@ -8,6 +8,7 @@ pub(super) const POINT_HOLD: f64 = 1e-8;
 /// One sighting's residual at the current estimate, and its derivatives.
 #[derive(Debug, Clone)]
 pub(super) struct Linear {
+    /// Index of the image.
     pub(super) image: usize,
     /// Weight of the sighting before robust reweighting.
     pub(super) weight: f64,
@@ -19,7 +20,7 @@ pub(super) struct Linear {
     pub(super) from_centre: [f64; 2],
 }
 
-/// Derivative of the image position by a correction's parameters.
+/// Derivative of the image position by a correction's parameters at `u`, `v`, half sides from the centre.
 pub(super) fn basis<const K: usize>([u, v]: [f64; 2]) -> SMatrix<f64, 2, K> {
     let all = SMatrix::<f64, 2, 6>::new(1.0, 0.0, u, v, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, u, v);
     all.fixed_columns::<K>(0).into_owned()

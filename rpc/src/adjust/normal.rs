@@ -8,9 +8,10 @@ use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 
 /// Prior standard deviation of shifts, pixels: weak, so that it fixes only unknowns that the ties leave open.
 pub const SHIFT_SIGMA_PX: f64 = 10.0;
-/// Prior standard deviation of rotation and drift, pixels half an image from its centre.
+/// Prior standard deviation of rotation and drift: pixels at the edge of the image, half its longer side from the
+/// centre.
 pub const SLOPE_SIGMA_PX: f64 = 0.5;
-/// Standard deviation of a sighting that priors are weighed against, pixels.
+/// Standard deviation of a sighting, pixels, for the weight of the priors.
 const SIGHTING_SIGMA_PX: f64 = 0.15;
 
 /// One track's contribution: the coupling of its point to each of its images.
@@ -26,7 +27,7 @@ struct Eliminated<const K: usize> {
 pub(super) struct NormalEquations<const K: usize> {
     curvature: DMatrix<f64>,
     gradient: DVector<f64>,
-    /// By track; `None` where its point is not determined: such a track moves nothing.
+    /// By track; `None` where the point is not determined; such a track has no effect.
     tracks: Vec<Option<Eliminated<K>>>,
 }
 
@@ -100,8 +101,9 @@ impl<const K: usize> NormalEquations<K> {
         }
     }
 
-    /// Steps of the images' parameters and their joint length; points take theirs. The length is in standard deviations
-    /// of the parameters times that of a sighting: steps along which the ties determine little are short.
+    /// Steps of the images' parameters, and their joint length; `points` are moved by their own steps. The length is
+    /// the step in standard deviations of the parameters times that of a sighting, pixels: steps in directions that the
+    /// ties hardly determine are short.
     pub(super) fn solve(self, points: &mut [Vector3<f64>]) -> Result<(Vec<SVector<f64, K>>, f64), RpcError> {
         let images = self.gradient.len() / K;
         let solution = self

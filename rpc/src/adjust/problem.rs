@@ -17,16 +17,16 @@ use rayon::prelude::*;
 
 /// Rounds without robust weights: until biases are removed, residuals do not separate good sightings from bad ones.
 const PLAIN_ROUNDS: usize = 3;
-/// Rounds after which the scale of good residuals stays as it is.
+/// Rounds after which the scale of good residuals is fixed.
 const SCALE_ROUNDS: usize = 10;
-/// Corrections that change by less end the rounds, pixels.
+/// Largest change of a correction at which the rounds end, pixels.
 const LAST_CHANGE_PX: f64 = 5e-4;
-/// Corrections that further rounds would move by less than this part of their joint standard deviation are at rest:
-/// that adds less than a tenth to their variance.
+/// Remaining movement of the corrections, in joint standard deviations, at which they have converged: it adds less than
+/// a tenth to their variance.
 const REST: f64 = 0.3;
-/// Rounds of triangulation with the cameras held.
+/// Rounds of triangulation with the cameras fixed.
 const POINT_ROUNDS: usize = 5;
-/// Tracks that one thread works on at a time, at least.
+/// Fewest tracks of one parallel job.
 const TRACKS_PER_JOB: usize = 64;
 
 /// Data of the adjustment.
@@ -48,6 +48,7 @@ fn add<const K: usize>(correction: &mut Correction, step: &SVector<f64, K>) {
 }
 
 impl<'a> BlockAdjustment<'a> {
+    /// Checks the tracks, and counts the sightings of each image.
     pub(super) fn new(
         images: &'a [AdjustImage<'a>],
         tracks: &'a [Track],
@@ -181,7 +182,7 @@ impl<'a> BlockAdjustment<'a> {
         track.sightings.iter().map(one).collect()
     }
 
-    /// Points where the weighted residuals are least, cameras held.
+    /// Moves each point to its least weighted residuals, with the cameras fixed.
     fn triangulate(
         &self,
         corrections: &[Correction],
@@ -218,7 +219,7 @@ impl<'a> BlockAdjustment<'a> {
         robust::sigma_px(lengths, 1.0 - unknowns / equations.max(1.0))
     }
 
-    /// The smallest corrections that fit alike; points move along.
+    /// Replaces the corrections by the smallest set that fits equally well, and moves the points accordingly.
     fn fix_gauge(&self, corrections: &mut [Correction], points: &mut [Vector3<f64>]) {
         let centre = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
         let seen: Vec<usize> = (0..self.images.len()).filter(|&image| self.seen[image]).collect();
@@ -243,7 +244,8 @@ fn first_error<T: Send, C: FromIterator<T>>(
     of_tracks.into_iter().collect()
 }
 
-/// Length of all further steps, which shrink as the last one did after the one before it.
+/// Bound on the length of all further steps, from a geometric series through the last two; infinite where they do not
+/// shrink.
 fn distance_left(before: f64, last: f64) -> f64 {
     match last < before {
         true => last / (1.0 - last / before),

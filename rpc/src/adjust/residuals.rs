@@ -9,13 +9,13 @@ use heliosplat_grid::statistics::upper_median;
 use nalgebra::{Matrix3, Vector4};
 use std::collections::BTreeMap;
 
-/// Pairs whose rays are this near to parallel have no epipolar lines.
+/// Least relative length of the normal to the stacked slopes; pairs below it have parallel rays and no epipolar lines.
 const LEAST_NORMAL: f64 = 1e-4;
 
 /// Size of a set of residuals, pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct ResidualSize {
-    /// Root mean square of their lengths.
+    /// Root mean square length.
     pub rms_px: f64,
     /// Median length.
     pub median_px: f64,
@@ -25,27 +25,27 @@ pub struct ResidualSize {
 /// views of the track.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ImageResiduals {
-    /// All sightings.
+    /// Number of sightings.
     pub sightings: usize,
-    /// Sightings within three standard deviations.
+    /// Number of good sightings: those within three standard deviations.
     pub good: usize,
-    /// With the cameras as delivered.
+    /// Size of the residuals with the cameras as delivered.
     pub before: ResidualSize,
-    /// With the corrections.
+    /// Size of the residuals with the corrections.
     pub after: ResidualSize,
 }
 
-/// Residuals across the epipolar lines of two images: the distance between corresponding rays, pixels. The component
-/// along the lines is altitude and independent of the cameras. Of good sightings only.
+/// Residuals of good sightings across the epipolar lines of two images: the distance between corresponding rays,
+/// pixels. The component along the lines is altitude and independent of the cameras.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PairResiduals {
-    /// The two images.
+    /// Indices of the two images, the lower first.
     pub images: [usize; 2],
-    /// Tracks that both see.
+    /// Number of tracks with good sightings in both images.
     pub ties: usize,
-    /// With the cameras as delivered.
+    /// Size of the residuals with the cameras as delivered.
     pub before: ResidualSize,
-    /// With the corrections.
+    /// Size of the residuals with the corrections.
     pub after: ResidualSize,
 }
 
@@ -56,19 +56,21 @@ pub struct ResidualVector {
     pub track: usize,
     /// Index of the image.
     pub image: usize,
-    /// Measured position.
+    /// Measured position, pixels.
     pub at: ImagePoint,
     /// Seen minus projected with the cameras as delivered, columns and rows, pixels.
     pub before_px: [f64; 2],
-    /// With the corrections.
+    /// Seen minus projected with the corrections, columns and rows, pixels.
     pub after_px: [f64; 2],
-    /// True if the sighting is a good one.
+    /// True if the residual is within three standard deviations.
     pub good: bool,
 }
 
-/// All residuals, track by track.
+/// Residuals before and after the adjustment, by track and sighting.
 pub(super) struct Sides {
+    /// Sightings with the cameras as delivered.
     pub(super) before: Vec<Vec<Linear>>,
+    /// Sightings with the corrections.
     pub(super) after: Vec<Vec<Linear>>,
     /// Standard deviation of a good sighting, pixels.
     pub(super) sigma_px: f64,
@@ -94,7 +96,7 @@ impl ResidualSize {
     }
 }
 
-/// Track, before and after of one sighting, and whether it is a good one.
+/// Track, residual before, residual after and a flag of good sightings, one item for each sighting.
 fn lines(sides: &Sides) -> impl Iterator<Item = (usize, &Linear, &Linear, bool)> {
     let tracks = sides.before.iter().zip(&sides.after);
     tracks.enumerate().flat_map(move |(track, (before, after))| {
@@ -103,6 +105,7 @@ fn lines(sides: &Sides) -> impl Iterator<Item = (usize, &Linear, &Linear, bool)>
     })
 }
 
+/// Residuals of each of `images` images.
 pub(super) fn of_images(sides: &Sides, images: usize) -> Vec<ImageResiduals> {
     let mut lengths = vec![(0, Vec::new(), Vec::new()); images];
     for (_, before, after, good) in lines(sides) {
@@ -122,6 +125,7 @@ pub(super) fn of_images(sides: &Sides, images: usize) -> Vec<ImageResiduals> {
     lengths.into_iter().map(one).collect()
 }
 
+/// Residual of each sighting, in the order of the tracks.
 pub(super) fn vectors(sides: &Sides, tracks: &[&Track]) -> Vec<ResidualVector> {
     let places = tracks.iter().flat_map(|track| &track.sightings);
     lines(sides)
@@ -137,6 +141,7 @@ pub(super) fn vectors(sides: &Sides, tracks: &[&Track]) -> Vec<ResidualVector> {
         .collect()
 }
 
+/// Residuals of each pair of images with common tracks, by index.
 pub(super) fn of_pairs(sides: &Sides) -> Vec<PairResiduals> {
     let mut lengths: BTreeMap<[usize; 2], (Vec<f64>, Vec<f64>)> = BTreeMap::new();
     for (before, after) in sides.before.iter().zip(&sides.after) {

@@ -3,11 +3,11 @@
 use super::linear::Linear;
 use heliosplat_grid::statistics::upper_median;
 
-/// Residuals, in standard deviations, at which a sighting has a quarter of its weight. It is small because errors of
+/// Residual, in standard deviations, at which a sighting has a quarter of its weight. It is small because errors of
 /// matching are not symmetric: slightly moved shadows pull in one direction, and only the peak of the residuals'
 /// distribution is at the ground.
 const QUARTER_AT: f64 = 1.0;
-/// Residuals, in standard deviations, up to which a sighting is a good one.
+/// Largest residual of a good sighting, in standard deviations.
 const GOOD_TO: f64 = 3.0;
 /// Least standard deviation, pixels: the best precision of matching.
 const LEAST_SIGMA_PX: f64 = 0.03;

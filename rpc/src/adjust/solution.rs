@@ -9,7 +9,7 @@ use crate::rpc::GeoPoint;
 pub struct AdjustOptions {
     /// Error model of the cameras.
     pub model: BiasModel,
-    /// Most rounds of Gauss-Newton.
+    /// Largest number of Gauss-Newton rounds.
     pub most_rounds: usize,
 }
 
@@ -22,20 +22,20 @@ impl Default for AdjustOptions {
     }
 }
 
-/// The corrections and how well the images agree with them.
+/// Corrections of all images, ground points of all tracks, and residuals before and after.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adjustment {
     /// Error model of the cameras.
     pub model: BiasModel,
-    /// One per image; none where an image has fewer than [`super::FEWEST_SIGHTINGS`] sightings.
+    /// One correction per image; zero where an image has fewer than [`super::FEWEST_SIGHTINGS`] sightings.
     pub corrections: Vec<Correction>,
     /// One ground point per track.
     pub points: Vec<GeoPoint>,
     /// Standard deviation of a good sighting in one direction, pixels.
     pub sigma_px: f64,
-    /// Rounds it took.
+    /// Number of Gauss-Newton rounds.
     pub rounds: usize,
-    /// True if the corrections came to rest before the last round allowed.
+    /// True if the corrections converged within the allowed rounds.
     pub converged: bool,
     /// Residuals of each image.
     pub images: Vec<ImageResiduals>,

@@ -10,9 +10,9 @@ pub const FEWEST_SIGHTINGS: usize = 6;
 pub struct AdjustImage<'a> {
     /// The camera.
     pub rpc: &'a Rpc,
-    /// Columns.
+    /// Columns of the image.
     pub width: usize,
-    /// Rows.
+    /// Rows of the image.
     pub height: usize,
 }
 

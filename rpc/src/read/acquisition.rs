@@ -21,8 +21,8 @@ use roxmltree::Node;
 use serde_json::Value;
 use time::{utc, utc_of_date_and_time};
 
-/// From text of any kind this module reads, recognised by content; `None` when it contains no value. The file name is
-/// not used.
+/// Acquisition from text in any format of this module, recognised by content; `None` when it contains no value. The
+/// file name is not used.
 pub fn from_text(_file_name: &str, text: &str) -> Option<Acquisition> {
     let acquisition = match kind(text) {
         TextKind::Dimap => dimap(text),
@@ -36,14 +36,15 @@ pub fn from_text(_file_name: &str, text: &str) -> Option<Acquisition> {
     (!acquisition.is_empty()).then_some(acquisition)
 }
 
-/// From a Maxar `.IMD` (`firstLineTime`, `meanSunAz`, `meanSunEl`), or another list of assignments with these names.
+/// Acquisition from a Maxar `.IMD` (`firstLineTime`, `meanSunAz`, `meanSunEl`), or another list of assignments with
+/// these names.
 pub fn imd(text: &str) -> Acquisition {
     let statements = assignments(text);
     let value = |names: &[&str]| first_of(&statements, names);
     maxar_values(value)
 }
 
-/// From a Maxar `.XML` (`isd/IMD`).
+/// Acquisition from a Maxar `.XML` (`isd/IMD`).
 pub fn maxar_xml(text: &str) -> Acquisition {
     let Ok(document) = parse("Maxar XML", text) else {
         return Acquisition::default();
@@ -53,7 +54,7 @@ pub fn maxar_xml(text: &str) -> Acquisition {
     maxar_values(|names| names.iter().find_map(|name| text_of(imd, &name.to_ascii_uppercase())))
 }
 
-/// The same names serve IMD and, in capitals, XML; in both the first of several images is used.
+/// Values by the names of an IMD, which are those of the XML in capitals. The first of several images is used.
 fn maxar_values<'a>(value: impl Fn(&[&str]) -> Option<&'a str>) -> Acquisition {
     Acquisition::new(
         value(&["firstLineTime"])
@@ -76,7 +77,8 @@ fn first_of<'a>(statements: &[Statement<'a>], names: &[&str]) -> Option<&'a str>
     names.iter().find_map(of_name)
 }
 
-/// From a DIMAP v2 `DIM_*.XML` (the scene's centre of `Located_Geometric_Values`) or v1 `METADATA.DIM` (SPOT).
+/// Acquisition from a DIMAP v2 `DIM_*.XML` (the scene's centre of `Located_Geometric_Values`) or v1 `METADATA.DIM`
+/// (SPOT).
 pub fn dimap(text: &str) -> Acquisition {
     let Ok(document) = parse("DIMAP", text) else {
         return Acquisition::default();
@@ -115,8 +117,8 @@ pub fn dimap(text: &str) -> Acquisition {
     centre.merge(source).merge(anywhere)
 }
 
-/// From a Sat-NeRF or VisSat image JSON: `acquisition_utc` or `acquisition_date`, `sun_azimuth`, `sun_elevation`;
-/// `capTime`, `sunAzim`, `sunElev`.
+/// Acquisition from a Sat-NeRF or VisSat image JSON: `acquisition_utc` or `acquisition_date`, `sun_azimuth`,
+/// `sun_elevation`; `capTime`, `sunAzim`, `sunElev`.
 pub fn satnerf_json(text: &str) -> Acquisition {
     let document = serde_json::from_str(without_mark(text)).unwrap_or(Value::Null);
     json_values(
@@ -126,8 +128,8 @@ pub fn satnerf_json(text: &str) -> Acquisition {
     )
 }
 
-/// From a STAC item (`datetime`, `view:sun_azimuth`, `view:sun_elevation`) or a Planet item (`acquired`, `sun_azimuth`,
-/// `sun_elevation`).
+/// Acquisition from a STAC item (`datetime`, `view:sun_azimuth`, `view:sun_elevation`) or a Planet item (`acquired`,
+/// `sun_azimuth`, `sun_elevation`).
 pub fn stac(text: &str) -> Acquisition {
     let document: Value = serde_json::from_str(without_mark(text)).unwrap_or(Value::Null);
     json_values(
@@ -146,8 +148,9 @@ fn json_values(object: &Value, times: &[&str], [azimuths, elevations]: [&[&str];
     Acquisition::new(time, angle(azimuths), angle(elevations))
 }
 
-/// From a GeoEye / IKONOS `_metadata.txt` (`Acquisition Date/Time`, `Sun Angle Azimuth`, `Sun Angle Elevation`) or a
-/// KOMPSAT `.txt` (`AUX_STRIP_ACQ_DATE_UT`, `AUX_STRIP_ACQ_START_UT`); of several images the first.
+/// Acquisition from a GeoEye / IKONOS `_metadata.txt` (`Acquisition Date/Time`, `Sun Angle Azimuth`,
+/// `Sun Angle Elevation`) or a KOMPSAT `.txt` (`AUX_STRIP_ACQ_DATE_UT`, `AUX_STRIP_ACQ_START_UT`); of several images
+/// the first.
 pub fn metadata_txt(text: &str) -> Acquisition {
     let lines: Vec<Statement> = colon_lines(text).collect();
     let value = |name: &str| first_of(&lines, &[name]);
@@ -168,7 +171,7 @@ pub fn metadata_txt(text: &str) -> Acquisition {
     geoeye.merge(Acquisition::new(kompsat, None, None))
 }
 
-/// From an OSSIM `.geom` keyword list; its angles come in several orders, so the time alone.
+/// Time from an OSSIM `.geom` keyword list; its angles are not read, because their order varies.
 fn ossim_geom(text: &str) -> Acquisition {
     let time = ["time_range_start", "tlc_date", "date"].iter().find_map(|name| {
         let is_named = |line: &Statement| line.key.rsplit('.').next() == Some(name);

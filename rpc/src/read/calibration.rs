@@ -22,7 +22,7 @@ const DIMAP_REFLECTANCE_PER_COUNT: f64 = 1e-4;
 /// Radiometry of an image as stated in a text.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Radiometry {
-    /// Gains.
+    /// Gains of the bands.
     Calibrated(Calibration),
     /// A display curve was applied: values are for viewing and are no measure of light.
     Display,
@@ -31,13 +31,13 @@ pub enum Radiometry {
 /// Quantity of calibrated values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
-    /// Spectral radiance at the sensor, W m⁻² sr⁻¹ µm⁻¹; of Planet without the µm⁻¹.
+    /// Spectral radiance at the sensor, W m⁻² sr⁻¹ µm⁻¹; in Planet's files W m⁻² sr⁻¹.
     Radiance,
     /// Reflectance, 0 to 1.
     Reflectance,
 }
 
-/// A band as metadata call it.
+/// A band as named in metadata.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CalibratedBand {
     /// Panchromatic.
@@ -50,13 +50,12 @@ pub enum CalibratedBand {
     Red,
     /// Near infrared, the first where there are two.
     NearInfrared,
-    /// The band at this place of the file, counted from zero, whatever it shows.
+    /// The band with this index in the file, counted from zero.
     Place(usize),
 }
 
 impl CalibratedBand {
-    /// The band of a DIMAP's `BAND_ID`; `None` for those that are neither panchromatic, red, green, blue nor near
-    /// infrared.
+    /// Band of a DIMAP's `BAND_ID`; `None` for a band that is neither panchromatic, red, green, blue nor near infrared.
     pub fn from_dimap_id(id: &str) -> Option<Self> {
         Some(match id.trim().to_ascii_uppercase().as_str() {
             "P" | "PAN" => Self::Pan,
@@ -72,9 +71,9 @@ impl CalibratedBand {
 /// Conversion of one band's counts to radiance or reflectance: `scale · count + offset`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gain {
-    /// Per count.
+    /// Radiance or reflectance per count.
     pub scale: f64,
-    /// Value of a count of zero.
+    /// Radiance or reflectance of a count of zero.
     pub offset: f64,
     /// Solar irradiance in the band at one astronomical unit, W m⁻² µm⁻¹, where it is known.
     pub irradiance_w_m2_um: Option<f64>,
@@ -96,8 +95,9 @@ impl Gain {
         }
     }
 
-    /// A gain to radiance as one to reflectance, `π d² L / (E sin h)` with the sun at `elevation_rad` and `distance_au`
-    /// away; `None` where the irradiance is not known or the sun is down.
+    /// Gain to reflectance from a gain to radiance `L`: `π d² L / (E sin h)` with solar irradiance `E`, and the sun at
+    /// elevation `h` (radians) and distance `d` (astronomical units); `None` where the irradiance is unknown or the sun
+    /// is below the horizon.
     pub fn to_reflectance(self, elevation_rad: f64, distance_au: f64) -> Option<Self> {
         let arriving = self.irradiance_w_m2_um? * elevation_rad.sin() / (distance_au * distance_au);
         let per_radiance = PI / arriving;
@@ -114,18 +114,19 @@ impl Gain {
 pub struct Calibration {
     /// Quantity of the calibrated values.
     pub quantity: Quantity,
-    /// The bands that have one.
+    /// Gain of each band that has one.
     pub gains: BTreeMap<CalibratedBand, Gain>,
 }
 
 impl Calibration {
-    /// Radiometry from gains; `None` without any.
+    /// Radiometry from gains; `None` without gains.
     fn radiometry(quantity: Quantity, gains: impl IntoIterator<Item = (CalibratedBand, Gain)>) -> Option<Radiometry> {
         let gains: BTreeMap<_, _> = gains.into_iter().collect();
         (!gains.is_empty()).then_some(Radiometry::Calibrated(Self { quantity, gains }))
     }
 
-    /// From scale and offset of each band of a file, where all bands have them and their unit determines the quantity.
+    /// Radiometry from scale, offset and unit of each band of a file; `None` unless all bands have a scale and their
+    /// units state one quantity. An absent offset is 0.
     pub fn of_bands(bands: &[(Option<f64>, Option<f64>, &str)]) -> Option<Radiometry> {
         let quantity = |unit: &str| {
             let unit = unit.to_lowercase();
@@ -145,7 +146,7 @@ impl Calibration {
     }
 }
 
-/// From text of any kind this module reads, recognised by content; `None` where it has no calibration.
+/// Radiometry from text in any format of this module, recognised by content; `None` without a calibration.
 pub fn from_text(text: &str) -> Option<Radiometry> {
     match kind(text) {
         TextKind::Dimap => dimap(text),
@@ -157,7 +158,7 @@ pub fn from_text(text: &str) -> Option<Radiometry> {
     }
 }
 
-/// From a Maxar `.IMD`.
+/// Radiometry from a Maxar `.IMD`; `None` without a calibration.
 pub fn imd(text: &str) -> Option<Radiometry> {
     let items = grouped(text)
         .into_iter()
@@ -165,7 +166,7 @@ pub fn imd(text: &str) -> Option<Radiometry> {
     gdal_domain(&items.collect())
 }
 
-/// From a Maxar `.XML` (`isd/IMD`).
+/// Radiometry from a Maxar `.XML` (`isd/IMD`); `None` without a calibration.
 pub fn maxar_xml(text: &str) -> Option<Radiometry> {
     let document = parse("Maxar XML", text).ok()?;
     let imd = find(document.root_element(), "IMD")?;
@@ -182,7 +183,7 @@ pub fn maxar_xml(text: &str) -> Option<Radiometry> {
     gdal_domain(&items)
 }
 
-/// From a DIMAP v2 `DIM_*.XML` (`Band_Radiance`, `Band_Solar_Irradiance`, `RADIOMETRIC_PROCESSING`) or v1
+/// Radiometry from a DIMAP v2 `DIM_*.XML` (`Band_Radiance`, `Band_Solar_Irradiance`, `RADIOMETRIC_PROCESSING`) or v1
 /// `METADATA.DIM` (`PHYSICAL_GAIN`, `PHYSICAL_BIAS`, `SOLAR_IRRADIANCE_VALUE`).
 pub fn dimap(text: &str) -> Option<Radiometry> {
     let document = parse("DIMAP", text).ok()?;
@@ -228,7 +229,8 @@ pub fn dimap(text: &str) -> Option<Radiometry> {
     Calibration::radiometry(Quantity::Radiance, gains)
 }
 
-/// From PlanetScope's `…_metadata.xml`: `reflectanceCoefficient` of each band, else `radiometricScaleFactor`.
+/// Radiometry from PlanetScope's `…_metadata.xml`: `reflectanceCoefficient` of each band, else
+/// `radiometricScaleFactor`.
 pub fn planet_xml(text: &str) -> Option<Radiometry> {
     let document = parse("Planet XML", text).ok()?;
     let bands: Vec<Node> = find_all(document.root_element(), "bandSpecificMetadata").collect();
@@ -246,7 +248,8 @@ pub fn planet_xml(text: &str) -> Option<Radiometry> {
     Calibration::radiometry(Quantity::Radiance, gains("radiometricScaleFactor")?)
 }
 
-/// From the JSON that SkySat images have in the description tag of their TIFF: `properties.reflectance_coefficients`.
+/// Radiometry from the JSON that SkySat images have in the description tag of their TIFF:
+/// `properties.reflectance_coefficients`.
 fn planet_json(text: &str) -> Option<Radiometry> {
     let document: Value = serde_json::from_str(without_mark(text)).ok()?;
     let coefficients = document

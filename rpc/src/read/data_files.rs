@@ -1,4 +1,4 @@
-//! The image files that a DIMAP v2 lists: of large images several tiles.
+//! Image files that a DIMAP v2 lists; a large image has several tiles.
 
 use super::fields::number;
 use super::kind::{TextKind, kind};
@@ -8,18 +8,18 @@ use roxmltree::Node;
 /// One file of an image.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DataFile {
-    /// Row and column of the tile that it is, counted from one.
+    /// Row and column of the tile, counted from one.
     pub tile: [u32; 2],
-    /// Its path, relative to the DIMAP.
+    /// Path relative to the DIMAP.
     pub href: String,
 }
 
-/// The images of a DIMAP and how they are cut.
+/// Images of a DIMAP and their tiles.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DataFiles {
-    /// The files of each image: Pléiades Neo has its bands in two.
+    /// Files of each image. Pléiades Neo has its bands in two images.
     pub images: Vec<Vec<DataFile>>,
-    /// Columns and rows from one tile to the next, where tiles are regular.
+    /// Columns and rows from one tile to the next; `None` where tiles are not regular.
     pub step_px: Option<[usize; 2]>,
 }
 

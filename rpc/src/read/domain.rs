@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// The camera of GeoTIFF tag 50844 (RPCCoefficientTag): 92 doubles, errors, offsets, scales and four polynomials.
 ///
 /// # Errors
-/// When there are not 92 values, or values are not finite, or a scale is zero.
+/// When there are not 92 values, a value is not finite, or a scale or a denominator is zero.
 pub fn geotiff_tag(values: &[f64]) -> Result<Rpc, ReadError> {
     let dialect = customary("GeoTIFF tag 50844 (RPCCoefficientTag)");
     let values = values.try_into().map_err(|_| ReadError::Malformed {
@@ -22,7 +22,7 @@ pub fn geotiff_tag(values: &[f64]) -> Result<Rpc, ReadError> {
 /// carry units.
 ///
 /// # Errors
-/// When an item is missing or is not a number.
+/// When an item is missing or is not a number, or a scale or a denominator is zero.
 pub fn gdal_domain(items: &BTreeMap<String, String>) -> Result<Rpc, ReadError> {
     let source = TextSource {
         lookup: |name: &str| items.get(name).map(String::as_str),

@@ -1,10 +1,11 @@
-//! From named values to a checked camera: every reader ends here.
+//! Checked camera from named values: the last step of every reader.
 
 use super::error::ReadError;
 use crate::rpc::Rpc;
 
 /// Names of a camera's values in a format; scalars and polynomials in the order of the GeoTIFF tag.
 pub(super) struct Dialect {
+    /// Name of the format in errors.
     pub(super) format: &'static str,
     /// Offsets of line, sample, latitude, longitude and height, then their scales.
     pub(super) scalars: [&'static str; 10],
@@ -35,7 +36,7 @@ pub(super) const fn customary(format: &'static str) -> Dialect {
     }
 }
 
-/// A format's way from a name to its value.
+/// Access to the values of a format by name.
 pub(super) trait Source {
     /// The number called `name`.
     fn number(&self, dialect: &Dialect, name: &str) -> Result<f64, ReadError>;
@@ -43,7 +44,7 @@ pub(super) trait Source {
     fn polynomial(&self, dialect: &Dialect, name: &str) -> Result<[f64; 20], ReadError>;
 }
 
-/// The checked camera.
+/// The camera of a source; an error unless all values are finite, and scales and denominators are not zero.
 pub(super) fn camera(dialect: &Dialect, source: &impl Source) -> Result<Rpc, ReadError> {
     let bad = |field: &str, value: f64, expected| dialect.bad(field, &value.to_string(), expected);
     let offset = |index: usize| {
@@ -73,7 +74,7 @@ pub(super) fn camera(dialect: &Dialect, source: &impl Source) -> Result<Rpc, Rea
         }
         Ok(values)
     };
-    // Absent, or negative, the tag's code for "unknown".
+    // Absent or negative errors are unknown: the GeoTIFF tag writes -1 for them.
     let error = |index: usize| {
         source
             .number(dialect, dialect.errors[index])
@@ -101,6 +102,7 @@ pub(super) fn camera(dialect: &Dialect, source: &impl Source) -> Result<Rpc, Rea
 }
 
 impl Dialect {
+    /// Error of an absent value.
     pub(super) fn missing(&self, field: &str) -> ReadError {
         ReadError::Missing {
             format: self.format,
@@ -108,6 +110,7 @@ impl Dialect {
         }
     }
 
+    /// Error of a value other than `expected`.
     pub(super) fn bad(&self, field: &str, value: &str, expected: &'static str) -> ReadError {
         ReadError::BadValue {
             format: self.format,
@@ -117,7 +120,7 @@ impl Dialect {
         }
     }
 
-    /// The number that `text` must hold.
+    /// The number in `text`; an error that names `field` where there is none.
     pub(super) fn number_in(&self, field: &str, text: &str) -> Result<f64, ReadError> {
         number(text).ok_or_else(|| self.bad(field, text, "a number"))
     }
@@ -177,6 +180,7 @@ pub(super) fn numbered_from_one(name: &str, index: usize) -> String {
 
 /// Ninety-two numbers in the order of the GeoTIFF tag: errors, scalars, polynomials.
 pub(super) struct OrderedSource<'a> {
+    /// Values in the order of the tag.
     pub(super) values: &'a [f64; 92],
 }
 
@@ -211,7 +215,7 @@ pub(super) fn number(text: &str) -> Option<f64> {
         .or_else(|| first.replace(['D', 'd'], "e").parse().ok())
 }
 
-/// At most a few dozen characters of a value, for an error.
+/// The first 48 characters of a value, for an error.
 pub(super) fn shortened(value: &str) -> String {
     const LONGEST: usize = 48;
     match value.char_indices().nth(LONGEST) {

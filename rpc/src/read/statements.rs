@@ -1,6 +1,6 @@
 //! The statements of vendors' text files: `key = value;` with groups and lists (IMD, RPB, PVL), and `key: value` lines.
 
-/// `text` without the byte order mark some editors put in front.
+/// `text` without the byte order mark that some editors write.
 pub(super) fn without_mark(text: &str) -> &str {
     text.trim_start_matches('\u{feff}')
 }
@@ -8,17 +8,19 @@ pub(super) fn without_mark(text: &str) -> &str {
 /// A `key = value` statement; the value is a slice of the text, brackets of a list included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Statement<'a> {
+    /// Text before `=` or `:`, trimmed.
     pub(super) key: &'a str,
+    /// Text behind it, trimmed.
     pub(super) value: &'a str,
 }
 
-/// The statements of an IMD, RPB or PVL text, in order; groups are entered and left without a trace, for keys that mean
-/// the same in every group.
+/// The statements of an IMD, RPB or PVL text, in order; groups are ignored, for keys that have one meaning in all
+/// groups.
 pub(super) fn assignments(text: &str) -> Vec<Statement<'_>> {
     grouped(text).into_iter().map(|(_, statement)| statement).collect()
 }
 
-/// Statements, each with its innermost group, which is empty outside of all groups.
+/// Statements in order, each with its innermost group; the group is empty outside of all groups.
 pub(super) fn grouped(text: &str) -> Vec<(&str, Statement<'_>)> {
     let mut statements = Vec::new();
     let mut groups = Vec::new();

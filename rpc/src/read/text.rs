@@ -6,7 +6,7 @@ use super::statements::{assignments, colon_lines, without_mark};
 use crate::rpc::Rpc;
 use std::collections::HashMap;
 
-/// Characters of the numbers of an RPC00B record: ten scalars, and eighty coefficients of twelve.
+/// Characters of the numbers of an RPC00B record: 66 of ten scalars, and twelve of each of eighty coefficients.
 const FIXED_WIDTH: usize = 66 + 80 * 12;
 /// Width of an RPC00B in a NITF tagged record, which has SUCCESS, ERR_BIAS and ERR_RAND in front.
 const NITF_WIDTH: usize = 15 + FIXED_WIDTH;
@@ -72,14 +72,14 @@ const PVL: Dialect = Dialect {
     errors: ["errorBias", "errorRand"],
 };
 
-/// Indices in the order of RPC00A (STDI-0002) of RPC00B's coefficients; RPC00A has
+/// Index in the order of RPC00A (STDI-0002) of each coefficient of RPC00B; RPC00A has
 /// `1 L P H LP LH PH LPH LL PP HH LLL LLP LLH LPP PPP PPH LHH PHH HHH`.
 const OF_RPC00A: [usize; 20] = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 7, 11, 14, 17, 12, 15, 18, 13, 16, 19];
 
-/// The camera of a file that states its specification, RPC00A or RPC00B: the order of the coefficients.
+/// The camera of a file that states RPC00A or RPC00B, the order of its coefficients.
 ///
 /// # Errors
-/// When it is neither, and those of [`camera`].
+/// When the specification is neither, and those of [`camera`].
 pub(super) fn of_specification(
     dialect: &Dialect,
     field: &str,
@@ -182,7 +182,7 @@ pub fn fixed_width(text: &str) -> Result<Rpc, ReadError> {
     camera(&dialect, &OrderedSource { values: &values })
 }
 
-/// True if a text looks like [`fixed_width`]: nothing but numbers run together.
+/// True if a text looks like [`fixed_width`]: numbers without separators, and nothing else.
 pub(super) fn looks_fixed_width(text: &str) -> bool {
     let text = text.trim_end();
     let first = text.get(..6).and_then(number);

@@ -9,8 +9,8 @@ use roxmltree::Node;
 
 /// The camera of a DIMAP `RPC_*.XML`.
 ///
-/// Always the ground-to-image model; the file's other model is a separate fit and not its inverse. Pleiades and SPOT
-/// 6/7 count rows and columns from 1, Pleiades Neo from 0: offsets come out counted from 0.
+/// Only the ground-to-image model is read; the image-to-ground model is a separate fit and not its inverse. Pleiades
+/// and SPOT 6/7 count rows and columns from 1, Pleiades Neo from 0: the returned offsets count from 0.
 ///
 /// # Errors
 /// When the text is not XML, holds no ground-to-image model, or a value is missing or is not a number.

@@ -1,22 +1,22 @@
-//! XML with limits, and searches by local name.
+//! Parsing of XML within limits, and searches by local name.
 //!
-//! The parser neither recurses nor reads DTDs, but its time and memory grow with the square of some counts; those are
-//! bounded here, far above any product description, before it sees the text.
+//! The parser neither recurses nor reads DTDs, but its time and memory grow with the square of some counts; these
+//! counts are checked before parsing, against limits far above any product description.
 
 use super::error::ReadError;
 use super::statements::without_mark;
 use roxmltree::{Document, Node};
 
-/// Product descriptions reach half a megabyte; this much larger is a mistake or an attack.
+/// Largest text, bytes. Product descriptions reach half a megabyte.
 const LARGEST_BYTES: usize = 16 << 20;
 const MOST_TAGS: usize = 1 << 20;
 const MOST_EQUALS: usize = 1 << 20;
-/// Attributes are compared with each other in search of duplicates.
+/// Largest number of attributes of one element: the parser compares each pair for duplicates.
 const MOST_EQUALS_PER_TAG: usize = 1 << 14;
-/// Namespaces are copied from parent to child.
+/// Largest number of namespaces: the parser copies them from parent to child.
 const MOST_NAMESPACES: usize = 1 << 10;
 
-/// Parses `text`, or returns the reason why not.
+/// Parses `text`; a text beyond the limits, or one that is no XML, is malformed.
 pub(super) fn parse<'a>(format: &'static str, text: &'a str) -> Result<Document<'a>, ReadError> {
     let malformed = |reason: String| ReadError::Malformed { format, reason };
     check_limits(text).map_err(malformed)?;

@@ -1,5 +1,5 @@
-//! The Earth's heliocentric place: the leading terms of VSOP87 (P. Bretagnon, G. Francou, 1988), as tabled in J. Meeus,
-//! *Astronomical Algorithms*, appendix III. Terms under 0.2 arc seconds of longitude are left out.
+//! Heliocentric position of the Earth: the leading terms of VSOP87 (P. Bretagnon, G. Francou, 1988), as tabled in J.
+//! Meeus, *Astronomical Algorithms*, appendix III. Terms under 0.2 arc seconds of longitude are left out.
 
 /// Amplitude (1e-8 radians or astronomical units), phase (radians), frequency (radians per Julian millennium).
 type Term = (f64, f64, f64);
@@ -68,15 +68,18 @@ const DISTANCE: [&[Term]; 2] = [
     &[(103_019.0, 1.107_49, 6_283.075_85)],
 ];
 
-/// Heliocentric place of the Earth, ecliptic and mean equinox of date.
+/// Heliocentric position of the Earth, ecliptic and mean equinox of date: radians and astronomical units.
 pub(super) struct HeliocentricEarth {
+    /// Ecliptic longitude.
     pub(super) longitude_rad: f64,
+    /// Ecliptic latitude.
     pub(super) latitude_rad: f64,
+    /// Distance to the sun.
     pub(super) distance_au: f64,
 }
 
 impl HeliocentricEarth {
-    /// At Julian millennia of terrestrial time from J2000.0.
+    /// Position at `millennia`, Julian millennia of terrestrial time from J2000.0.
     pub(super) fn at(millennia: f64) -> Self {
         Self {
             longitude_rad: series(&LONGITUDE, millennia),

@@ -10,9 +10,11 @@ use crate::model::background::COLOURS;
 use crate::model::network::Network;
 use crate::optim::{LearningRate, ParameterGroup};
 
-/// Indices of the shared groups: frames, relative widths and widths of the lobes.
+/// Index of the shared group of the lobes' frames, quaternions `x, y, z, w`.
 pub(super) const LOBE_FRAME: usize = 0;
+/// Index of the shared group of the lobes' two relative widths, before the sigmoid.
 pub(super) const LOBE_SCALE: usize = 1;
+/// Index of the shared group of the lobes' widths, before the sigmoid.
 pub(super) const LOBE_SIGMA: usize = 2;
 /// All groups of the lobes, in this order.
 pub(super) const LOBE_GROUPS: [usize; 3] = [LOBE_FRAME, LOBE_SCALE, LOBE_SIGMA];
@@ -97,10 +99,12 @@ fn surface_rate(from: f32, rate: f32) -> LearningRate {
 }
 
 impl OlatOptions {
+    /// Shape of the scattering network.
     pub(super) fn scattering_network(&self) -> Network {
         network(SCATTER_INPUTS, COLOURS, self.width.max(1), self.hidden.max(1))
     }
 
+    /// Shape of the shadow network.
     pub(super) fn shadow_network(&self) -> Network {
         network(SHADOW_INPUTS, 1, self.width.max(1), self.hidden.max(1))
     }

@@ -23,7 +23,7 @@ pub(super) const SHADOW_INPUTS: usize = 2 * ENCODED + EMBEDDING + 1;
 /// Transmittances are refined between these, where their logits are moderate.
 const SHADOW_RANGE: (f32, f32) = (0.02, 0.98);
 
-/// Shape of either network.
+/// Shape of a network of `inputs` inputs, `outputs` outputs and `hidden` hidden layers of `width` units.
 pub(super) fn network(inputs: usize, outputs: usize, width: usize, hidden: usize) -> Network {
     Network {
         inputs,
@@ -51,19 +51,26 @@ fn encode_backward(encoded: &[f32], d: &[f32]) -> Vec3 {
 
 /// Inputs of the networks from a Gaussian, besides the directions to light and eye.
 pub(super) struct NetworkInput<'a> {
-    /// Its position over half the side of the cube that positions lie in.
+    /// Position of the Gaussian over half the side of the cube that contains the positions, about -1 to 1.
     pub(super) position: Vec3,
+    /// Unit normal of the surface.
     pub(super) normal: Vec3,
+    /// Material embedding, [`EMBEDDING`] numbers.
     pub(super) embedding: &'a [f32],
 }
 
-/// Gradients of the networks' inputs before encoding.
+/// Gradients of a loss to the networks' inputs before encoding.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct InputGradient {
+    /// Gradient to the scaled position.
     pub(super) position: Vec3,
+    /// Gradient to the direction to the light.
     pub(super) to_light: Vec3,
+    /// Gradient to the direction to the eye.
     pub(super) to_eye: Vec3,
+    /// Gradient to the normal.
     pub(super) normal: Vec3,
+    /// Gradient to the material embedding.
     pub(super) embedding: [f32; EMBEDDING],
 }
 
@@ -120,13 +127,14 @@ fn medium(out: [f32; COLOURS]) -> (f32, Medium, [f32; COLOURS]) {
     (3.0 * s[0] + 0.1, medium, [slope(0, 3.0), slope(1, 2.0), slope(2, 2.0)])
 }
 
-/// Light that scatters out per light that falls in, before the colour: the dipole profile at the predicted distance.
+/// Light that scatters out per incoming light, before the colour, from the scattering network's outputs: the dipole
+/// profile at the predicted distance.
 pub(super) fn scattered(out: [f32; COLOURS]) -> f32 {
     let (distance, medium, _) = medium(out);
     medium.profile(distance).value
 }
 
-/// Backward of [`scattered`]: gradients of the network's outputs.
+/// Backward of [`scattered`]: gradients of the network's outputs `out`, from the gradient `d` of the result.
 pub(super) fn scattered_backward(out: [f32; COLOURS], d: f32) -> [f32; COLOURS] {
     let (distance, medium, slopes) = medium(out);
     let found = medium.profile(distance);
@@ -137,14 +145,15 @@ pub(super) fn scattered_backward(out: [f32; COLOURS], d: f32) -> [f32; COLOURS] 
     ]
 }
 
-/// A transmittance whose logit is moved by the shadow network's output.
+/// A transmittance, 0 to 1, whose logit is moved by the shadow network's output `out`.
 pub(super) fn refined_shadow(transmittance: f32, out: f32) -> f32 {
     let t = transmittance.clamp(SHADOW_RANGE.0, SHADOW_RANGE.1);
     // σ(ln(t / (1-t)) + x) without the logarithm.
     t / (t + (1.0 - t) * (-out).exp())
 }
 
-/// Backward of [`refined_shadow`]: gradients of the transmittance and of the network's output.
+/// Backward of [`refined_shadow`]: gradients of the transmittance and of the network's output, from the gradient `d` of
+/// the result.
 pub(super) fn refined_shadow_backward(transmittance: f32, out: f32, d: f32) -> (f32, f32) {
     let value = refined_shadow(transmittance, out);
     let d_logit = d * value * (1.0 - value);

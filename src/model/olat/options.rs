@@ -1,6 +1,6 @@
 //! Options of the model, and the components of its light that can be shown alone.
 
-/// Options of the model.
+/// Options of the one-light-at-a-time model.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OlatOptions {
@@ -14,21 +14,21 @@ pub struct OlatOptions {
     pub refined: bool,
     /// Units of the hidden layers of both networks.
     pub width: usize,
-    /// Their hidden layers.
+    /// Hidden layers of both networks.
     pub hidden: usize,
-    /// Half of the side of the cube that positions lie in.
+    /// Half the side of the cube that contains the positions, scene units.
     pub half_size: f32,
     /// Colour behind everything.
     pub background: [f32; 3],
     /// True if images have coverage as a fourth band.
     pub coverage: bool,
-    /// Distance at which a light of strength one counts as one.
+    /// Distance `D` of the falloff, scene units: a light of strength one and no radius has the falloff one there.
     pub distance: f32,
-    /// Radius of the lights.
+    /// Radius of the lights, scene units.
     pub radius: f32,
-    /// Weight of the agreement of normals with those of the depth.
+    /// Weight of the depth–normal loss; 0 is off.
     pub normal_weight: f32,
-    /// Depths that differ by more than this are an edge, not a slope.
+    /// Range of depths, scene units, beyond which neighbouring pixels are an edge, not a slope.
     pub normal_edge: f32,
     /// The rendered component.
     pub shows: Component,
@@ -45,7 +45,7 @@ pub enum Component {
     Diffuse,
     /// The specular part, in shadow too.
     Specular,
-    /// Transmittance toward the light.
+    /// Transmittance toward the light alone, 0 to 1.
     Shadow,
     /// Light scattered under the surface.
     Scattering,

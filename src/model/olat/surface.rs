@@ -51,6 +51,8 @@ fn widest(j: usize) -> f32 {
 }
 
 impl Lobes {
+    /// Lobes from their stored groups: frames (quaternions), relative widths and widths, the last two before the
+    /// sigmoid.
     pub(super) fn new(frames: &[f32], scales: &[f32], sigmas: &[f32]) -> Self {
         let frame = |j: usize| Mat3::from_quat(normalised([0, 1, 2, 3].map(|k| frames[j * 4 + k])));
         Self {
@@ -91,21 +93,24 @@ impl Lobes {
     }
 }
 
-/// Directions from a Gaussian to light and eye, and the light's falloff there.
+/// Unit directions from a Gaussian to light and eye, and the light's falloff there.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LightGeometry {
+    /// Unit direction to the light.
     pub(super) to_light: Vec3,
+    /// Unit direction to the eye.
     pub(super) to_eye: Vec3,
-    /// Per distance to light and eye; zero where they are infinitely far.
+    /// One over the distances to light and eye; zero where they are infinitely far.
     inverse_light: f32,
     inverse_eye: f32,
     /// Falloff of a light of strength one, see [`falloff`].
     pub(super) falloff: f32,
-    /// Its gradient to the position.
+    /// Gradient of the falloff to the position.
     d_falloff: Vec3,
 }
 
 impl LightGeometry {
+    /// Geometry of a Gaussian at `position` under `light`; `distance` and `radius` are those of [`falloff`].
     pub(super) fn new(position: Vec3, light: &Light, camera: &ProjectiveCamera, distance: f32, radius: f32) -> Self {
         let (to_light, distance_to_light) = light.seen_from(position);
         let (to_eye, inverse_eye) = match camera.eye() {
@@ -152,21 +157,27 @@ impl LightGeometry {
     }
 }
 
-/// A Gaussian's surface.
+/// Material and frame of a Gaussian.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OlatSurface {
+    /// Diffuse colour.
     pub(super) diffuse: [f32; COLOURS],
+    /// Quaternion `x, y, z, w` that turns the surface's own z axis to its normal; not necessarily unit.
     pub(super) frame: [f32; 4],
+    /// Specular colour.
     pub(super) specular: [f32; COLOURS],
+    /// Weight of each lobe.
     pub(super) weights: [f32; LOBES],
-    /// F0, reflectance at normal incidence (Schlick 1994): about 0.04 for dielectrics, most for metals.
+    /// F0, reflectance at normal incidence (Schlick 1994), 0 to 1: about 0.04 for dielectrics, large for metals.
     pub(super) f0: f32,
 }
 
 /// Reflected light per incoming light: the diffuse and the specular part.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shaded {
+    /// Diffuse part, before shadow and falloff.
     pub(super) diffuse: [f32; COLOURS],
+    /// Specular part, before shadow and falloff.
     pub(super) specular: [f32; COLOURS],
 }
 
@@ -177,15 +188,22 @@ pub(super) struct LobeGradient {
     shape: [f32; 3],
 }
 
-/// Gradients of a Gaussian's surface.
+/// Gradients of a loss to the surface of a Gaussian.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct SurfaceGradient {
+    /// Gradient to the diffuse colour.
     pub(super) diffuse: [f32; COLOURS],
+    /// Gradient to the specular colour.
     pub(super) specular: [f32; COLOURS],
+    /// Gradients to the lobes' weights.
     pub(super) weights: [f32; LOBES],
+    /// Gradient to F0.
     pub(super) f0: f32,
+    /// Gradient to the frame's quaternion.
     pub(super) frame: [f32; 4],
+    /// Gradient to the position.
     pub(super) position: Vec3,
+    /// Gradient to the transmittance toward the light.
     pub(super) transmittance: f32,
     /// The half vector in the surface's frame, and each lobe's gradients there.
     half: Vec3,
@@ -193,7 +211,7 @@ pub(super) struct SurfaceGradient {
 }
 
 impl SurfaceGradient {
-    /// Adds the gradient of the surface's normal.
+    /// Adds the gradient `d` of the surface's normal to that of the frame.
     pub(super) fn turn_normal(&mut self, surface: &OlatSurface, d: Vec3) {
         let mut turned = Mat3::ZERO;
         turned.z_axis = d;
@@ -206,7 +224,7 @@ impl SurfaceGradient {
 struct HalfVector {
     sum: f32,
     direction: Vec3,
-    /// Between it and the light.
+    /// Cosine between the half vector and the light.
     cosine: f32,
 }
 

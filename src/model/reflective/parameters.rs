@@ -1,4 +1,5 @@
-//! From the stored parameters of a Gaussian to its surface, and from gradients of surfaces back to the parameters.
+//! Conversion of the stored parameters of a Gaussian to its surface, and of the gradients of surfaces to those of the
+//! parameters.
 
 use super::surface::{Coefficients, EMBEDDING_WIDTH, ReflectiveSurface, SurfaceGradient};
 use super::{ALBEDO, EMBEDDING, ENVIRONMENT, FRAME, LIGHT, MATERIAL, Reflective, WIDTH_MIN};
@@ -55,7 +56,7 @@ impl Reflective {
     ) {
         let table = &mut grads.gaussians;
         let add = |slots: &mut [f32], values: &[f32]| slots.iter_mut().zip(values).for_each(|(s, v)| *s += v);
-        // Of a sigmoid.
+        // Slope of a sigmoid from its value.
         let slope = |p: f32| p * (1.0 - p);
         table.add_to_group(POSITION, indices, |s, slots| add(slots, &parts[s].position.to_array()));
         table.add_to_group(FRAME, indices, |s, slots| add(slots, &parts[s].frame));

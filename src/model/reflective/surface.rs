@@ -4,14 +4,13 @@
 //! lobe), then [`ReflectiveSurface::encode`] (the decoder's inputs), then, after the decoder ran over all splats,
 //! [`ReflectiveSurface::shade`].
 //!
-//! Backward runs in phases, because the decoder stands between shading and its own inputs and is evaluated for all
-//! splats at once:
+//! Backward has four phases, because shading needs the decoder's output, and the decoder runs once for all splats:
 //!
-//! 1. [`ReflectiveSurface::shade_backward`]: from the light toward the eye to material, normal and cosine, and to the decoder's
-//!    *output*.
+//! 1. [`ReflectiveSurface::shade_backward`]: from the light toward the eye to material, normal and cosine, and to
+//!    the decoder's *output*.
 //! 2. the decoder's own backward pass (in [`super`]): from its output to its weights and *inputs*.
-//! 3. [`ReflectiveSurface::encode_backward`]: from the decoder's inputs, and from the light of the harmonics which the decoder's
-//!    output is added to, to material, reflected direction and lobe.
+//! 3. [`ReflectiveSurface::encode_backward`]: from the decoder's inputs, and from the light of the harmonics that
+//!    the decoder's output is added to, to material, reflected direction and lobe.
 //! 4. [`PartialGradient::finish`]: from the view geometry to frame and position.
 //!
 //! [`PartialGradient`] carries the gradients of phases 1 and 3.
@@ -41,7 +40,7 @@ const AXES: [Vec3; 6] = [
 
 /// Frequencies of the encoding per axis, radians: each twice the one before.
 const WAVES: [f32; 4] = [1.5, 3.0, 6.0, 12.0];
-/// Numbers of the encoded direction.
+/// Number of values of the encoded direction.
 const ENCODED: usize = 2 * AXES.len() * WAVES.len();
 /// Numbers of the material embedding of a Gaussian.
 pub(super) const EMBEDDING_WIDTH: usize = 6;
@@ -61,31 +60,45 @@ fn degree(function: usize) -> usize {
     [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3][function]
 }
 
-/// Material, frame and light of a Gaussian.
+/// Position, material, frame and light of a Gaussian.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ReflectiveSurface {
+    /// Centre of the Gaussian, scene units.
     pub(super) position: Vec3,
+    /// Albedo, 0 to 1.
     pub(super) albedo: [f32; COLOURS],
+    /// Metallic share, 0 to 1.
     pub(super) metallic: f32,
-    /// Widths of the lobe, along x and y of the frame.
+    /// Widths of the lobe (GGX), along x and y of the frame.
     pub(super) alpha: [f32; 2],
     /// Weight of the specular term, 0 to 1.
     pub(super) gloss: f32,
+    /// Quaternion `x, y, z, w` of the frame, z its normal; not necessarily unit.
     pub(super) frame: [f32; 4],
+    /// Environment light at the Gaussian.
     pub(super) light: Coefficients,
+    /// Material embedding, an input of the decoder.
     pub(super) embedding: [f32; EMBEDDING_WIDTH],
 }
 
-/// Gradients of a surface.
+/// Gradients of a loss to a [`ReflectiveSurface`].
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct SurfaceGradient {
+    /// Gradient to the centre.
     pub(super) position: Vec3,
+    /// Gradient to the albedo.
     pub(super) albedo: [f32; COLOURS],
+    /// Gradient to the metallic share.
     pub(super) metallic: f32,
+    /// Gradient to the widths of the lobe.
     pub(super) alpha: [f32; 2],
+    /// Gradient to the weight of the specular term.
     pub(super) gloss: f32,
+    /// Gradient to the frame's quaternion.
     pub(super) frame: [f32; 4],
+    /// Gradient to the coefficients of light.
     pub(super) light: Coefficients,
+    /// Gradient to the material embedding.
     pub(super) embedding: [f32; EMBEDDING_WIDTH],
 }
 
@@ -104,7 +117,8 @@ pub(super) struct ViewGeometry {
 }
 
 impl ViewGeometry {
-    /// `eye` is where rays meet; with parallel rays, `toward` is where they come from.
+    /// Geometry of `surface` seen from `eye`, the common point of the camera's rays; for parallel rays (`None`),
+    /// `toward` is the unit direction to the camera.
     pub(super) fn new(surface: &ReflectiveSurface, eye: Option<Vec3>, toward: Vec3) -> Self {
         let frame = Mat3::from_quat(normalised(surface.frame));
         let offset = eye.map_or(toward, |eye| eye - surface.position);
@@ -128,14 +142,14 @@ impl ViewGeometry {
         }
     }
 
-    /// The normal that faces the eye.
+    /// The unit normal, on the side that faces the eye.
     pub(super) fn normal(&self) -> Vec3 {
         self.frame.z_axis * self.side
     }
 }
 
-/// Factor by which the lobe blurs a degree: `e^(-ρ l (l+1) / 2)` with the lobe's variance ρ, and its slope to ρ over
-/// itself.
+/// Factor by which the lobe blurs a degree, `e^(-ρ l (l+1) / 2)` with the lobe's variance ρ; and its logarithmic slope
+/// to ρ.
 fn blur_factor(alpha: [f32; 2], degree: usize) -> (f32, f32) {
     let rate = -0.5 * (degree * (degree + 1)) as f32;
     ((rate * (alpha[0] * alpha[0] + alpha[1] * alpha[1])).exp(), rate)
@@ -158,9 +172,9 @@ impl ReflectiveSurface {
     }
 
     /// Writes the decoder's inputs. A plane wave over the directions, blurred by the anisotropic lobe, is the wave
-    /// times a factor of the lobe; with these factors, whatever the decoder makes of the waves is light seen through
-    /// the lobe (as in the integrated directional encoding, Verbin et al. 2022, here for an anisotropic lobe).
-    /// `functions` harmonics are used; `scale` is one over half the side of the cube that positions lie in.
+    /// times a factor of the lobe. With these factors the decoder receives the direction only as blurred by the lobe
+    /// (the integrated directional encoding of Verbin et al. 2022, here for an anisotropic lobe). `functions` harmonics
+    /// are used; `scale` is one over half the side of the cube that contains the positions.
     pub(super) fn encode(&self, view: &ViewGeometry, functions: usize, scale: f32, out: &mut [f32]) {
         let (_, reflected) = self.harmonic_light(view, functions);
         let mut at = 0;
@@ -189,8 +203,8 @@ impl ReflectiveSurface {
         (self.alpha[0] * self.alpha[1]).sqrt().sqrt()
     }
 
-    /// Light toward the eye, diffuse and specular; `decoded` is the decoder's output for [`Self::encode`], `None` where
-    /// the surface is not glossy and the decoder was not evaluated.
+    /// Light toward the eye, diffuse and specular, per colour. `decoded` is the decoder's output for [`Self::encode`],
+    /// `None` if the surface is not glossy and the decoder was not evaluated.
     pub(super) fn shade(
         &self,
         view: &ViewGeometry,
@@ -272,8 +286,8 @@ impl ReflectiveSurface {
         d_decoded
     }
 
-    /// Second phase of the backward pass: from the decoder's inputs and their gradients (`inputs`, `d_inputs`), and
-    /// from the gradient of its output, which is also that of the blurred reflection of the harmonics.
+    /// Third phase of the backward pass: from the decoder's inputs and their gradients (`inputs`, `d_inputs`), and from
+    /// the gradient of its output, which is also that of the blurred reflection of the harmonics.
     pub(super) fn encode_backward(
         &self,
         view: &ViewGeometry,
@@ -342,6 +356,7 @@ impl ReflectiveSurface {
 /// Gradients of a surface and of its view geometry, collected over the phases of the backward pass.
 #[derive(Default)]
 pub(super) struct PartialGradient {
+    /// Gradients of the surface so far.
     pub(super) surface: SurfaceGradient,
     normal: Vec3,
     cosine: f32,
@@ -350,12 +365,12 @@ pub(super) struct PartialGradient {
 }
 
 impl PartialGradient {
-    /// Adds the gradient of [`ViewGeometry::normal`].
+    /// Adds the gradient `d` of [`ViewGeometry::normal`].
     pub(super) fn add_facing_normal(&mut self, view: &ViewGeometry, d: Vec3) {
         self.normal += d * view.side;
     }
 
-    /// Last phase: through the view geometry to frame and position.
+    /// Fourth phase of the backward pass: from the view geometry to frame and position.
     pub(super) fn finish(mut self, surface: &ReflectiveSurface, view: &ViewGeometry) -> SurfaceGradient {
         let (n, eye) = (view.frame.z_axis, view.to_eye);
         let n_dot_eye = view.side * view.cosine;

@@ -5,10 +5,10 @@ use super::{ALBEDO, COLOUR, NEAR, OFFSET, PATH_RADIANCE, SKY, ShadowGs, softplus
 use crate::model::Parameters;
 use rayon::prelude::*;
 
-/// Least sky: one that still has a logarithm.
+/// Least sky and least light: the inverse softplus of the sky and ratios of light stay finite.
 const LEAST_SKY: f32 = 1e-3;
 
-/// Path radiance and sky of the reference image, in its units.
+/// Path radiance and sky of the reference image, in the units of that image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Air {
     /// Path radiance of each band: the light that the air adds to every pixel.
@@ -18,7 +18,7 @@ pub struct Air {
 }
 
 impl ShadowGs {
-    /// The air of the reference image.
+    /// Path radiance and sky of the reference image.
     pub fn air(&self, parameters: &Parameters) -> Air {
         let reference = self.options.reference;
         Air {
@@ -27,7 +27,7 @@ impl ShadowGs {
         }
     }
 
-    /// Sets this `air` for the reference image, and changes every Gaussian's albedo so that its look stays.
+    /// Sets `air` for the reference image, and changes every Gaussian's albedo so that its appearance there stays.
     /// `visibility` (0 to 1) is the share of the sun's light that reaches each Gaussian:
     ///
     /// ```text
@@ -51,7 +51,7 @@ impl ShadowGs {
             .options
             .near_light
             .then(|| parameters.gaussians.group(NEAR).to_vec());
-        // The light on Gaussian `g`, before and now.
+        // The light on Gaussian `g` in band `k`, before and after the change.
         let lights = |g: usize, k: usize| {
             let near = near.as_ref().map_or(0.0, |near| near[g * bands + k]);
             [before.sky[k], sky[k]].map(|sky| {

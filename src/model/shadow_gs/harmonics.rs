@@ -37,7 +37,7 @@ pub(super) fn albedo_harmonics(options: &ShadowGsOptions) -> std::ops::Range<usi
     first..first + options.degree
 }
 
-/// The harmonics of a model as one camera sees them.
+/// The harmonics of a model, seen from one camera.
 pub(super) struct Harmonics<'a> {
     gaussians: &'a Table,
     camera: &'a ProjectiveCamera,
@@ -52,7 +52,7 @@ pub(super) struct Harmonics<'a> {
 }
 
 impl<'a> Harmonics<'a> {
-    /// `None` where everything looks the same from everywhere.
+    /// Harmonics for the view of `context`; `None` if the options have degree 0.
     pub(super) fn new(options: &ShadowGsOptions, context: &Context<'a>) -> Option<Self> {
         let &ShadowGsOptions { bands, degree, .. } = options;
         (degree > 0).then(|| Self {
@@ -76,7 +76,7 @@ impl<'a> Harmonics<'a> {
         std::array::from_fn(|f| seen[f] - self.down[f])
     }
 
-    /// Group, first channel, degree of all that there is.
+    /// Group index, first channel and degree of each group of harmonics.
     fn groups(&self) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
         let (first, degree, channels) = (FEATURES + self.parts, self.degree, self.channels);
         (0..self.parts)
@@ -99,7 +99,7 @@ impl<'a> Harmonics<'a> {
         }
     }
 
-    /// From gradients of the features, adds those of the coefficients.
+    /// Adds the gradients of the coefficients to `grads`, from those of the features, `d_features`.
     ///
     /// Positions get none: a metre turns the view of a satellite 600 km away by 2·10⁻⁶ rad, so the gradient through the
     /// viewing direction is as much smaller than that through the place in the image.
@@ -108,7 +108,7 @@ impl<'a> Harmonics<'a> {
         let indices = &seen.projected.gaussian;
         for (group, channel, degree) in self.groups() {
             grads.gaussians.add_to_group(group, indices, |s, slots| {
-                // Made anew for every group: that is cheaper than to keep them.
+                // Recomputed for every group, which is cheaper than storing them.
                 let functions = self.functions(indices[s] as usize);
                 let d = &d_features[s * stride + channel..s * stride + channel + bands];
                 for (slots, y) in slots.chunks_mut(bands).zip(&functions[degree * degree..]) {

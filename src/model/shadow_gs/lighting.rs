@@ -1,5 +1,5 @@
-//! From composited channels to pixels: the light that reaches a surface, its colour in the image, and the gradients of
-//! both.
+//! Conversion of composited channels to pixels: the light that reaches a surface, its colour in the image, and the
+//! gradients of both.
 
 use super::{CHUNK, ShadowGs};
 use crate::model::Context;
@@ -16,14 +16,18 @@ pub(super) struct Lighting<'a> {
     offset: Vec<f32>,
 }
 
-/// Gradients that all pixels add to.
+/// Gradients of a loss to the parameters of one image, summed over pixels.
 pub(super) struct SharedGradients {
+    /// Gradient to the sky, per band.
     pub(super) sky: Vec<f64>,
+    /// Gradient to the colour matrix, row by row.
     pub(super) matrix: Vec<f64>,
+    /// Gradient to the colour offset, per band.
     pub(super) offset: Vec<f64>,
 }
 
 impl SharedGradients {
+    /// Zero gradients for `bands` bands.
     pub(super) fn new(bands: usize) -> Self {
         Self {
             sky: vec![0.0; bands],
@@ -32,6 +36,7 @@ impl SharedGradients {
         }
     }
 
+    /// Adds the gradients of other pixels.
     pub(super) fn add(&mut self, other: &Self) {
         let sum = |a: &mut [f64], b: &[f64]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
         sum(&mut self.sky, &other.sky);
@@ -40,15 +45,20 @@ impl SharedGradients {
     }
 }
 
-/// Gradients of some pixels: `values[slot * count + pixel]` belongs to `channels[slot]`.
+/// Gradients of a chunk of pixels: `values[slot * count + pixel]` belongs to `channels[slot]`.
 pub(super) struct ChunkGradients {
+    /// Channels that get gradients.
     pub(super) channels: Vec<usize>,
+    /// Number of pixels.
     pub(super) count: usize,
+    /// Gradients to the channels, `[slot][pixel]`.
     pub(super) values: Vec<f32>,
+    /// Gradients to the parameters of the image.
     pub(super) shared: SharedGradients,
 }
 
 impl<'a> Lighting<'a> {
+    /// The light of the view of `context`, to be applied to `maps`.
     pub(super) fn new(model: &ShadowGs, context: &Context, maps: &'a Maps) -> Self {
         let image = model.image(context);
         let (matrix, offset) = model.colour(context.parameters, image);
@@ -68,7 +78,7 @@ impl<'a> Lighting<'a> {
         self.sky[band] + self.near.map_or(0.0, |at| self.maps.channels[at + band][pixel])
     }
 
-    /// The colours of a chunk's pixels, band by band.
+    /// Colours of the pixels of chunk number `chunk`, band by band.
     pub(super) fn chunk(&self, chunk: usize) -> Vec<f32> {
         let (maps, bands) = (self.maps, self.bands);
         let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(maps.alpha.len());
@@ -88,7 +98,7 @@ impl<'a> Lighting<'a> {
         values
     }
 
-    /// The gradients of a chunk's pixels.
+    /// Gradients of the pixels of chunk number `chunk`, from the gradient of the image.
     pub(super) fn chunk_backward(&self, chunk: usize, d_image: &Raster) -> ChunkGradients {
         let (maps, bands) = (self.maps, self.bands);
         let pixels = maps.alpha.len();

@@ -16,41 +16,51 @@ pub(super) const GROUPS: usize = TILE_WIDTH * TILE_HEIGHT / LANES + LANES;
 /// A splat in the pixel coordinates of a tile, with its exponent to base two.
 #[derive(Clone, Copy)]
 pub(super) struct TileSplat<const K: usize> {
+    /// Column of the centre in the tile, pixels.
     pub(super) x: f32,
+    /// Row of the centre in the tile, pixels.
     pub(super) y: f32,
-    /// `log2 α = (form[0]·x + form[1]·y)·x + form[2]·y² + peak`.
+    /// Quadratic form of the exponent: `log2 α = (form[0]·x + form[1]·y)·x + form[2]·y² + peak`.
     pub(super) form: [f32; 3],
+    /// `log2 α` at the centre, before saturation.
     pub(super) peak: f32,
-    /// The peak, or where alpha saturates if that is less.
+    /// The lesser of `peak` and `log2` of the alpha at saturation.
     pub(super) top: f32,
-    /// Columns that the ellipse's middle moves per row.
+    /// Shift of the ellipse's middle per row, columns.
     pub(super) shift: f32,
-    /// Squared half width of the ellipse in a row: `width_square - narrowing·y²`.
+    /// Squared half width of the ellipse in a row, pixels²: `width_square - narrowing·y²`.
     pub(super) width_square: f32,
+    /// Decrease of the squared half width per squared row.
     pub(super) narrowing: f32,
+    /// Depth of the centre, metres.
     pub(super) depth: f32,
+    /// Change of depth per column and per row, metres per pixel.
     pub(super) slope: [f32; 2],
+    /// First and one past last row in the tile.
     pub(super) rows: (u8, u8),
+    /// Channels of the splat.
     pub(super) values: [f32; K],
 }
 
 /// Groups of eight pixels of a row that a splat reaches, and the terms that are constant along the row.
 pub(super) struct Groups {
-    /// Place of the first pixel in a plane.
+    /// Place of the group's first pixel in a plane.
     pub(super) at: [u32; GROUPS],
-    /// Its offset from the splat's centre, columns.
+    /// Offset of the first pixel from the splat's centre, columns.
     pub(super) x: [f32; GROUPS],
     /// Offset of the row from the centre, rows.
     pub(super) y: [f32; GROUPS],
-    /// Change of the exponent per column in the row, and its value in the column of the centre.
+    /// Change of the exponent per column in the row.
     pub(super) tilt: [f32; GROUPS],
+    /// Exponent in the column of the centre.
     pub(super) base: [f32; GROUPS],
-    /// Depth in the column of the centre, metres.
+    /// Depth of the splat in this row, at the column of the centre, metres.
     pub(super) depth: [f32; GROUPS],
     /// Alpha of the eight pixels, zero outside the footprint.
     pub(super) alpha: [Lane; GROUPS],
     /// `1 / (1 - alpha)`, filled for the backward pass only.
     pub(super) inverse: [Lane; GROUPS],
+    /// Number of groups.
     pub(super) count: usize,
 }
 
@@ -62,17 +72,18 @@ pub(super) struct EightRows {
     tilt: Lane,
     base: Lane,
     depth: Lane,
-    /// Pixels inside the ellipse.
+    /// Number of pixels inside the ellipse, by row.
     wide: Lane,
 }
 
-/// The non-negative whole number `x`, without the checks of a cast; below 2²³.
+/// Converts the non-negative whole number `x` below 2²³, without the checks of a cast.
 #[inline(always)]
 pub(super) fn whole(x: f32) -> u32 {
     (x + 8_388_608.0).to_bits() & 0x007f_ffff
 }
 
 impl Groups {
+    /// An empty list of groups.
     pub(super) fn new() -> Self {
         Self {
             at: [0; GROUPS],
@@ -87,7 +98,7 @@ impl Groups {
         }
     }
 
-    /// The groups' numbers, known to be few enough.
+    /// Indices of the groups, known to be in bounds.
     #[inline(always)]
     pub(super) fn numbers(&self) -> std::ops::Range<usize> {
         0..self.count.min(GROUPS)
@@ -137,6 +148,7 @@ impl Groups {
 }
 
 impl<const K: usize> TileSplat<K> {
+    /// A splat without rows, which covers nothing.
     pub(super) const NOTHING: Self = Self {
         x: 0.0,
         y: 0.0,
@@ -152,6 +164,7 @@ impl<const K: usize> TileSplat<K> {
         values: [0.0; K],
     };
 
+    /// The splat with its channels `values`, in the pixel coordinates of the tile of `frame`.
     #[inline(always)]
     pub(super) fn new(splat: &Splat, values: &[f32; K], frame: &TileFrame) -> Self {
         let [a, b, c] = splat.conic;

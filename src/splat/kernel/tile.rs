@@ -2,11 +2,11 @@
 
 use crate::splat::bins::{TILE_HEIGHT, TILE_WIDTH};
 
-/// Pixels handled together.
+/// Number of pixels processed together.
 pub(super) const LANES: usize = 8;
 /// Distance between the rows of a tile in memory: its pixels, and room for eight that begin in its last column.
 pub const STRIDE: usize = TILE_WIDTH + LANES;
-/// Numbers of one plane of a tile.
+/// Number of values of one plane of a tile.
 pub const PLANE: usize = TILE_HEIGHT * STRIDE;
 /// Transmittance below which a pixel is opaque: no further splat changes it.
 pub(super) const T_MIN: f32 = 1e-4;
@@ -16,7 +16,9 @@ pub(super) const QUANTILES: [f32; 3] = [0.84, 0.5, 0.16];
 /// Numbers besides the channels in a splat's gradient record: Σh, Σhx, Σhy, Σhx², Σhxy, Σhy², Σm, Σmx, Σmy.
 pub const GEOMETRY: usize = 9;
 
+/// Values of eight pixels of a row.
 pub(super) type Lane = [f32; LANES];
+/// Values of a tile, [`STRIDE`] to a row.
 pub(super) type Plane = [f32; PLANE];
 
 /// Accumulated values of one tile.
@@ -26,19 +28,19 @@ pub struct TileMaps<const K: usize> {
     pub transmittance: Plane,
     /// Composited channels.
     pub channels: [Plane; K],
-    /// `Σ w z`, metres.
+    /// Sum of depths `Σ w z`, metres.
     pub depth: Plane,
-    /// `Σ w z²`, metres².
+    /// Sum of squared depths `Σ w z²`, metres².
     pub depth_square: Plane,
-    /// Depths where the transmittance falls through 0.84, a half and 0.16, metres; the last seen where it never does,
-    /// zero where nothing was seen.
+    /// Depths where the transmittance falls through 0.84, 0.5 and 0.16, metres; the depth of the last splat seen if it
+    /// never does, zero if no splat is seen.
     pub depth_quantiles: [Plane; 3],
-    /// (splat, pixel) pairs inside the footprints.
+    /// Number of (splat, pixel) pairs inside the footprints.
     pub pairs: u64,
 }
 
 impl<const K: usize> TileMaps<K> {
-    /// Room for a tile, on the heap.
+    /// Maps of a tile, on the heap.
     pub fn boxed() -> Box<Self> {
         Box::new(Self {
             transmittance: [0.0; PLANE],
@@ -50,7 +52,7 @@ impl<const K: usize> TileMaps<K> {
         })
     }
 
-    /// Empties the tile, keeping the count of pairs.
+    /// Empties the tile, but keeps the count of pairs; `depths` empties the planes of the other depths too.
     pub(super) fn clear(&mut self, frame: &TileFrame, depths: bool) {
         frame.reset_transmittance(&mut self.transmittance);
         self.channels.fill([0.0; PLANE]);
@@ -65,18 +67,18 @@ impl<const K: usize> TileMaps<K> {
 /// Gradients of a loss to the maps of one tile; zero outside the image.
 #[derive(Clone)]
 pub struct TileGradients<const K: usize> {
-    /// To the composited channels.
+    /// Gradients to the composited channels.
     pub channels: [Plane; K],
-    /// To the accumulated alpha `Σ w`.
+    /// Gradient to the accumulated alpha `Σ w`.
     pub alpha: Plane,
-    /// To `Σ w z`.
+    /// Gradient to `Σ w z`.
     pub depth: Plane,
-    /// `Σ_j w_j d_j`: the maps' values times these gradients, summed.
+    /// `Σ_j w_j d_j`: sum of the maps' values times these gradients.
     pub total: Plane,
 }
 
 impl<const K: usize> TileGradients<K> {
-    /// All zero, on the heap.
+    /// Gradients of a tile, all zero, on the heap.
     pub fn boxed() -> Box<Self> {
         Box::new(Self {
             channels: [[0.0; PLANE]; K],
@@ -87,21 +89,22 @@ impl<const K: usize> TileGradients<K> {
     }
 }
 
-/// Pixels that a tile covers.
+/// Position of a tile in the image, and its size inside it.
 #[derive(Clone, Copy)]
 pub struct TileFrame {
     /// First column, pixels.
     pub col0: f32,
     /// First row, pixels.
     pub row0: f32,
-    /// Columns inside the image.
+    /// Number of columns inside the image.
     pub width: usize,
-    /// Rows inside the image.
+    /// Number of rows inside the image.
     pub height: usize,
 }
 
 impl TileFrame {
-    /// Transmittance before the first splat: one in the image, zero outside, where nothing then adds anything.
+    /// Fills `plane` with the transmittance before the first splat: one in the image, zero outside, where no splat adds
+    /// anything then.
     pub(super) fn reset_transmittance(&self, plane: &mut Plane) {
         for (number, row) in plane.chunks_exact_mut(STRIDE).enumerate() {
             let width = if number < self.height { self.width } else { 0 };
@@ -111,6 +114,7 @@ impl TileFrame {
     }
 }
 
+/// Reads the eight values of a plane from place `at` on.
 #[inline(always)]
 pub(super) fn load(values: &Plane, at: usize) -> Lane {
     let mut lane = [0.0; LANES];
@@ -118,6 +122,7 @@ pub(super) fn load(values: &Plane, at: usize) -> Lane {
     lane
 }
 
+/// Writes eight values of a plane from place `at` on.
 #[inline(always)]
 pub(super) fn store(values: &mut Plane, at: usize, lane: Lane) {
     values[at..at + LANES].copy_from_slice(&lane);

@@ -35,6 +35,7 @@ pub(super) struct SplatsAndGradients {
 }
 
 impl SplatsAndGradients {
+    /// Eight splats and gradients, all zero.
     pub(super) const EMPTY: Self = Self {
         conic: [[0.0; LANES]; 3],
         slope: [[0.0; LANES]; 2],

@@ -8,15 +8,16 @@ use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table};
 use crate::vectorised;
 use glam::{Mat3, Vec3};
 
-/// Gaussians at once.
+/// Number of Gaussians processed together.
 pub(super) const LANES: usize = 8;
+/// One number for each of eight Gaussians.
 pub(super) type Lane = [f32; LANES];
 
 /// Cull status of a Gaussian, an integer per lane: outside the image, behind the camera or below the least alpha.
 pub(super) const CULLED: u32 = 0;
-/// It is a splat.
+/// Cull status of a Gaussian that is a splat.
 pub(super) const VISIBLE: u32 = 1;
-/// It is dropped because a number is not finite.
+/// Cull status of a Gaussian that is dropped because a number is not finite.
 pub(super) const NOT_FINITE: u32 = 2;
 
 /// The core parameters of eight Gaussians, as stored.
@@ -52,6 +53,7 @@ impl Raw {
         }
     }
 
+    /// Parameters of the Gaussian in lane `l`.
     #[inline(always)]
     pub(super) fn one(&self, l: usize) -> RawOne {
         RawOne {
@@ -74,11 +76,15 @@ pub(super) fn three(lanes: &[Lane; 3], l: usize) -> Vec3 {
     Vec3::new(lanes[0][l], lanes[1][l], lanes[2][l])
 }
 
-/// Raw parameters of one Gaussian.
+/// Core parameters of one Gaussian, as stored.
 pub(super) struct RawOne {
+    /// Centre, metres.
     pub(super) position: Vec3,
+    /// Log scales: natural logarithms of the standard deviations in metres.
     pub(super) log_scale: Vec3,
+    /// Quaternion `x, y, z, w`, not necessarily unit.
     pub(super) rotation: [f32; 4],
+    /// Opacity logit.
     pub(super) opacity: f32,
 }
 
@@ -110,29 +116,43 @@ fn matrix(q: [f32; 4]) -> Mat3 {
 
 /// The whitened vectors of one Gaussian in one view, and the numbers that both passes use.
 pub(super) struct Whitened {
+    /// Column of the centre, pixels.
     pub(super) col: f32,
+    /// Row of the centre, pixels.
     pub(super) row: f32,
+    /// Denominator `1 + w·p` of the camera, positive in front of it.
     pub(super) denominator: f32,
+    /// Unit quaternion `x, y, z, w` of the rotation.
     pub(super) quaternion: [f32; 4],
+    /// Norm of the raw quaternion; zero where it was degenerate.
     pub(super) norm: f32,
+    /// Rotation matrix `R`.
     pub(super) rotation: Mat3,
+    /// Standard deviations along the own axes, metres.
     pub(super) scale: Vec3,
+    /// Opacity, 0 to 1.
     pub(super) opacity: f32,
+    /// Derivative of the column to the position, pixels per metre.
     pub(super) ju: Vec3,
+    /// Derivative of the row to the position, pixels per metre.
     pub(super) jv: Vec3,
+    /// Whitened derivative of the column, `Lᵀj_u`, pixels.
     pub(super) a: Vec3,
+    /// Whitened derivative of the row, `Lᵀj_v`, pixels.
     pub(super) b: Vec3,
+    /// Whitened depth axis, `Lᵀd`, metres.
     pub(super) c: Vec3,
     /// Image covariance `[xx, xy, yy]` without any filter, pixels².
     pub(super) covariance: [f32; 3],
-    /// Its determinant, as the squared area of the two whitened rows: never negative, no cancellation for needles and
-    /// discs.
+    /// Determinant of the image covariance, pixels⁴, as the squared area of the two whitened rows: never negative, and
+    /// without cancellation for needles and discs.
     pub(super) area_square: f32,
     /// Covariance of depth with column and row, metres·pixels.
     pub(super) depth_covariance: [f32; 2],
 }
 
 impl Whitened {
+    /// The whitened vectors of the Gaussian `raw` in the view of `camera`.
     #[inline(always)]
     pub(super) fn new(raw: &RawOne, camera: &ProjectiveCamera) -> Self {
         let (col, row, denominator) = camera.project(raw.position);
@@ -168,7 +188,8 @@ impl Whitened {
         }
     }
 
-    /// `sqrt(det before / det after)` the filter, or one without antialiasing.
+    /// Factor on the opacity: `sqrt(det / det_filtered)` of the image covariance, without and with the pixel filter;
+    /// one without antialiasing.
     #[inline(always)]
     pub(super) fn dimming(&self, det_filtered: f32, options: &ProjectionOptions) -> f32 {
         let ratio = self.area_square / det_filtered;
@@ -185,6 +206,7 @@ pub(super) fn inverse_filtered(m: [f32; 3], det: f32, filter: f32) -> ([f32; 3],
     ([yy / det, -m[1] / det, xx / det], det)
 }
 
+/// True if `x` is finite.
 #[inline(always)]
 pub(super) fn finite(x: f32) -> bool {
     x.abs() < f32::INFINITY
@@ -193,6 +215,7 @@ pub(super) fn finite(x: f32) -> bool {
 /// Eight splats and the cull status of their Gaussians.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Splats {
+    /// Cull status of each Gaussian.
     pub(super) status: [u32; LANES],
     col: Lane,
     row: Lane,

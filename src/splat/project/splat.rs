@@ -2,10 +2,10 @@
 
 /// Alpha below which a splat does not touch a pixel.
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
-/// Alpha above which it saturates (its gradient is then zero).
+/// Alpha at which a splat saturates; its gradient is zero beyond.
 pub const ALPHA_MAX: f32 = 0.99;
-/// Keeps the depth plane of an edge-on disc bounded; pixels². At a standard deviation of one pixel it changes slopes by
-/// 5 %.
+/// Variance added to the image covariance for the slopes of the depth plane, pixels². It bounds the slopes of an
+/// edge-on disc; at a standard deviation of one pixel it changes slopes by 5 %.
 pub const DEPTH_FILTER_PX2: f32 = 0.05;
 
 /// Options of the projection of Gaussians to splats.
@@ -14,7 +14,8 @@ pub const DEPTH_FILTER_PX2: f32 = 0.05;
 pub struct ProjectionOptions {
     /// Variance added to the image covariance: the pixel filter, pixels².
     pub filter_px2: f32,
-    /// Multiply opacity by `sqrt(det before / det after)` the filter, so that small splats dim instead of growing.
+    /// True if opacity is multiplied by `sqrt(det before / det after)` the filter, so that small splats dim instead of
+    /// growing.
     pub antialias: bool,
 }
 
@@ -27,7 +28,7 @@ impl Default for ProjectionOptions {
     }
 }
 
-/// A projected Gaussian: all that the rasteriser reads, in one record, in one line of the cache.
+/// A projected Gaussian: all inputs of the rasteriser in one record, which fits a cache line.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[repr(align(64))]
 pub struct Splat {
@@ -37,15 +38,15 @@ pub struct Splat {
     pub row: f32,
     /// Inverse image covariance: `q = conic[0]·x² + 2·conic[1]·x·y + conic[2]·y²`.
     pub conic: [f32; 3],
-    /// Opacity at the centre.
+    /// Opacity at the centre, 0 to 1.
     pub opacity: f32,
     /// Depth of the centre, metres from the scene centre along the camera's depth axis.
     pub depth: f32,
     /// Change of depth per column and per row, metres per pixel.
     pub slope: [f32; 2],
-    /// `q` beyond which alpha is below [`ALPHA_MIN`].
+    /// Value of `q` beyond which alpha is below [`ALPHA_MIN`].
     pub reach: f32,
-    /// Half sizes of the box of that reach, pixels.
+    /// Half sizes of the box around the ellipse `q = reach`, columns and rows, pixels.
     pub half: [f32; 2],
     /// Unit normal of the depth plane, facing the camera.
     pub normal: [f32; 3],
@@ -54,18 +55,18 @@ pub struct Splat {
 /// Gradient of a loss to a [`Splat`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SplatGradient {
-    /// To the column.
+    /// Gradient to the column.
     pub col: f32,
-    /// To the row.
+    /// Gradient to the row.
     pub row: f32,
-    /// To the conic's three numbers.
+    /// Gradients to the conic's three numbers.
     pub conic: [f32; 3],
-    /// To the opacity.
+    /// Gradient to the opacity.
     pub opacity: f32,
-    /// To the depth.
+    /// Gradient to the depth.
     pub depth: f32,
-    /// To the slopes.
+    /// Gradients to the slopes.
     pub slope: [f32; 2],
-    /// To the normal.
+    /// Gradient to the normal.
     pub normal: [f32; 3],
 }

@@ -7,14 +7,15 @@ use crate::trace::occlusion::{RayTransmittance, attenuation};
 use crate::vectorised;
 use glam::{Mat3, Vec3};
 
-/// Rays of a bundle: they traverse the hierarchy together, and are worked on together.
+/// Number of rays of a bundle, which traverse the hierarchy together.
 pub(super) const BUNDLE: usize = 8;
 /// Distance of prefetching, in Gaussians.
 const AHEAD: usize = 8;
 
+/// One number for each ray of a bundle.
 pub(super) type Lane = [f32; BUNDLE];
 
-/// Neighbouring rays, number by number.
+/// Neighbouring rays, as a structure of arrays.
 #[derive(Clone, Copy)]
 pub(super) struct Bundle {
     origin: [Lane; 3],
@@ -57,7 +58,7 @@ impl Bundle {
 struct ClosestPoints {
     nearest: [Lane; 3],
     square: Lane,
-    /// Their distance along the ray, as a share of the way to the light.
+    /// Distances of the points along their rays, as shares of the way to the light.
     share: Lane,
     hit: [u32; BUNDLE],
 }
@@ -185,13 +186,14 @@ vectorised! {
 /// in its whitened space.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Moments {
-    /// `Σh`.
+    /// Sum `Σh`.
     pub(super) h: f32,
-    /// `Σ h n`: x, y, z; `Σ h n nᵀ`: xx, xy, xz, yy, yz, zz.
+    /// Sums `Σ h n`: x, y, z; `Σ h n nᵀ`: xx, xy, xz, yy, yz, zz.
     pub(super) sums: [f32; 9],
 }
 
 impl Moments {
+    /// Adds the contributions of other rays.
     pub(super) fn add(&mut self, other: &Self) {
         self.h += other.h;
         for (sum, value) in self.sums.iter_mut().zip(other.sums) {

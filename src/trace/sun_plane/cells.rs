@@ -12,7 +12,7 @@ const CHUNK: usize = 4096;
 /// Cells along either side, at most; they are numbered with 16 bits.
 const SIDE_MAX: f32 = 30_000.0;
 
-/// A grid and where the points of each cell are in the sorted order.
+/// A grid, and the places of each cell's points in the sorted order.
 pub(super) struct Cells {
     corner: Vec2,
     inverse_cell: Vec2,
@@ -96,7 +96,7 @@ impl Cells {
         (at.max(0.0) as usize).min(self.rows - 1)
     }
 
-    /// The cells that the box from `low` to `high` touches, by row: see [`Self::run`].
+    /// The cells that the box from `low` to `high` touches, for [`Self::run`] row by row.
     #[inline(always)]
     pub(super) fn window(&self, low: Vec2, high: Vec2) -> CellRange {
         CellRange {
@@ -105,7 +105,7 @@ impl Cells {
         }
     }
 
-    /// The part of the sorted points in the columns of a window and one of its rows.
+    /// Range of the sorted points in the columns of `window` and its row `row`.
     #[inline(always)]
     pub(super) fn run(&self, window: &CellRange, row: usize) -> Range<usize> {
         let first = row * self.columns;
@@ -113,9 +113,10 @@ impl Cells {
     }
 }
 
-/// Some neighbouring columns and rows of cells.
+/// A block of neighbouring columns and rows of cells.
 pub(super) struct CellRange {
     columns: Range<usize>,
+    /// Rows of the block.
     pub(super) rows: Range<usize>,
 }
 

@@ -4,22 +4,26 @@
 use crate::trace::bvh::Occluder;
 use glam::{Mat3, Vec2, Vec3};
 
-/// Ellipses, or rays, that are worked on together.
+/// Number of ellipses, or rays, that are processed together.
 pub(super) const LANES: usize = 8;
 
+/// One number for each of eight ellipses or rays.
 pub(super) type Lane = [f32; LANES];
 
-/// The plane's axes in the scene.
+/// Unit axes of the plane and its normal, in the scene.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Axes {
+    /// First axis of the plane.
     pub(super) right: Vec3,
+    /// Second axis of the plane.
     pub(super) up: Vec3,
     /// Unit vector toward the light.
     pub(super) light: Vec3,
 }
 
 impl Axes {
-    /// Duff et al. 2017: no direction is special.
+    /// The plane normal to the unit vector `light` toward the light. Its axes are those of Duff et al. 2017, for whom
+    /// no direction is special.
     pub(super) fn new(light: Vec3) -> Self {
         let (right, up) = light.any_orthonormal_pair();
         Self { right, up, light }
@@ -31,7 +35,7 @@ impl Axes {
         Vec2::new(self.right.dot(position), self.up.dot(position))
     }
 
-    /// A vector of the plane in the scene.
+    /// The vector of the scene for a vector of the plane.
     #[inline(always)]
     pub(super) fn in_scene(&self, v: Vec2) -> Vec3 {
         self.right * v.x + self.up * v.y
@@ -41,18 +45,22 @@ impl Axes {
 /// One Gaussian on the plane.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ellipse {
+    /// Centre on the plane, metres.
     pub(super) centre: Vec2,
     /// Whitening of the plane: `t = (w₀ x, w₁ x + w₂ y)` of an offset from the centre, in standard deviations. `‖t‖²`
     /// is never negative and does not cancel for long ellipses, as their inverse covariance would.
     pub(super) whiten: [f32; 3],
-    /// Squared distance beyond which it ends, standard deviations.
+    /// Squared distance beyond which the ellipse ends, in standard deviations.
     pub(super) reach_square: f32,
-    /// Depth of the peak toward the light at the centre, metres, and its change over the plane.
+    /// Depth of the peak at the centre, metres toward the light.
     pub(super) depth: f32,
+    /// Change of the peak's depth over the plane, metres per metre.
     pub(super) slope: Vec2,
+    /// Opacity, 0 to 1.
     pub(super) opacity: f32,
+    /// Index of the Gaussian.
     pub(super) id: u32,
-    /// Half sizes of its box, metres.
+    /// Half sizes of the ellipse's bounding box, metres.
     pub(super) half_size: Vec2,
 }
 
@@ -69,7 +77,7 @@ impl Ellipse {
         half_size: Vec2::ZERO,
     };
 
-    /// The ellipse of Gaussian `id`; one that does not exist if it occludes nothing or is seen as less than an area.
+    /// The ellipse of Gaussian `id`; an empty one if the Gaussian occludes nothing or its projection has no area.
     pub(super) fn new(occluder: &Occluder, id: usize, axes: &Axes) -> Self {
         if occluder.reach_square <= 0.0 {
             return Self::EMPTY;
@@ -117,7 +125,7 @@ impl Ellipse {
     }
 }
 
-/// Offset from the centre in standard deviations.
+/// Offset (`dx`, `dy`) from the centre, metres, whitened by `w` to standard deviations.
 #[inline(always)]
 pub(super) fn whitened(w: [f32; 3], dx: f32, dy: f32) -> [f32; 2] {
     [w[0] * dx, w[1] * dx + w[2] * dy]
@@ -129,16 +137,24 @@ pub(super) fn transposed_whitening(w: [f32; 3], tx: f32, ty: f32) -> [f32; 2] {
     [w[0] * tx + w[1] * ty, w[2] * ty]
 }
 
-/// Eight ellipses, number by number.
+/// Eight ellipses as a structure of arrays; fields as in [`Ellipse`].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EllipseBlock {
+    /// Centres along the first axis, metres.
     pub(super) x: Lane,
+    /// Centres along the second axis, metres.
     pub(super) y: Lane,
+    /// Whitenings of the plane.
     pub(super) whiten: [Lane; 3],
+    /// Squared distances beyond which the ellipses end, in standard deviations.
     pub(super) reach_square: Lane,
+    /// Depths of the peaks at the centres, metres.
     pub(super) depth: Lane,
+    /// Changes of the peaks' depths over the plane.
     pub(super) slope: [Lane; 2],
+    /// Opacities, 0 to 1.
     pub(super) opacity: Lane,
+    /// Indices of the Gaussians.
     pub(super) id: [u32; LANES],
 }
 
@@ -162,19 +178,21 @@ impl EllipseBlock {
 /// Contributions of the rays that hit an ellipse to its gradient: sums over rays with `h = ∂L/∂(-½‖t‖²)`.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct EllipseMoments {
-    /// `Σh`.
+    /// Sum `Σh`.
     pub(super) h: f32,
-    /// `Σ h t`.
+    /// Sum `Σ h t`.
     pub(super) t: [f32; 2],
-    /// `Σ h t tᵀ`: xx, xy, yy.
+    /// Sums `Σ h t tᵀ`: xx, xy, yy.
     pub(super) tt: [f32; 3],
 }
 
-/// Gradients to a Gaussian's centre, axes and size.
+/// Gradients of a loss to a Gaussian's centre, axes and size.
 pub(super) struct ShapeGradient {
+    /// Gradient to the centre, 1/m.
     pub(super) position: Vec3,
+    /// Gradient to the log scales.
     pub(super) log_scale: Vec3,
-    /// To the rotation matrix, column by column.
+    /// Gradient to the rotation matrix, column by column.
     pub(super) rotation: Mat3,
 }
 

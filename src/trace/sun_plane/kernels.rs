@@ -30,7 +30,8 @@ vectorised! {
     }
 }
 
-/// First and last lane of block `number` that lie in `run`; lanes are -1 and 8 and more where all do on that side.
+/// First and last lane of block `number` in `run`; below 0 or above 7 where `run` begins before or ends behind the
+/// block.
 #[inline(always)]
 fn inside(run: &Range<usize>, number: usize) -> [i32; 2] {
     let first = (number * LANES) as i32;
@@ -99,7 +100,7 @@ impl RayLanes {
     }
 }
 
-/// Eight rays, number by number.
+/// Eight rays as a structure of arrays.
 struct RayBlock {
     x: Lane,
     y: Lane,
@@ -171,7 +172,7 @@ vectorised! {
     }
 }
 
-/// Adds the contributions of the rays in `lanes` of a block to an ellipse; returns whether any hit it.
+/// Adds the contributions of the rays in `lanes` of a block to an ellipse; returns true if any of them hit it.
 #[inline(always)]
 fn add_contributions(ellipse: &Ellipse, block: &RayBlock, lanes: [i32; 2], sums: &mut [Lane; 6]) -> bool {
     let (mut tx, mut ty, mut square) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);

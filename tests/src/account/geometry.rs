@@ -1,4 +1,4 @@
-//! Splats: the footprint of a Gaussian, the stack of them along a ray, brightness in a window.
+//! Formulas of splats: the footprint of a Gaussian, the stack of splats along a ray, brightness in a window.
 
 use super::{Errors, Row, Worst, ratio, relative, steps};
 use crate::reference;
@@ -10,6 +10,7 @@ use heliosplat::splat::{MapGradients, Projected, ProjectionOptions, Rasteriser, 
 use heliosplat::{ProjectiveCamera, Raster};
 use nalgebra::Vector3;
 
+/// Rows of splats; costs only if `timed`.
 pub(super) fn rows(timed: bool) -> Vec<Row> {
     let [conic, dimming, slope, alpha] = footprint_rows(timed);
     vec![conic, dimming, slope, alpha, stack_row(), frame_row(), window_row()]
@@ -120,7 +121,7 @@ fn footprint_rows(timed: bool) -> [Row; 4] {
                         .value
                         .see(relative(plain_opacity.into(), truth.opacity, 1.0 / 255.0), at);
                     let Some(splat) = projected.splats.first() else {
-                        // Too faint to be seen is no error.
+                        // A splat below the visible opacity may be absent.
                         if truth.opacity > 1.01 / 255.0 {
                             robust[0].value.see(f64::NAN, at);
                         }

@@ -1,5 +1,5 @@
-//! Light: the exponent of a ray that passes a Gaussian, the stack of layers above, self-shadowing, a light at distance
-//! zero.
+//! Formulas of light: the exponent of a ray that passes a Gaussian, the stack of layers above, self-shadowing, a light
+//! at distance zero.
 
 use super::{Errors, Row, Worst, ratio, steps};
 use crate::reference::{self, Gaussian};
@@ -9,6 +9,7 @@ use heliosplat::light::Light;
 use heliosplat::trace::{OccluderGradients, Occluders, SunVisibility, transmittance};
 use nalgebra::Vector3;
 
+/// Rows of light; costs only if `timed`.
 pub(super) fn rows(timed: bool) -> Vec<Row> {
     vec![
         exponent_row(By::SunPlane, timed),
@@ -59,7 +60,7 @@ fn passing(size: f32, aspect: f32, away: f32, miss: f32, turn: f32) -> (Table, V
     let scales = [size, size * aspect, size];
     let (right, up) = sun.any_orthonormal_pair();
     let side = (right * turn.cos() + up * turn.sin()).normalize();
-    // As wide as the Gaussian is that way.
+    // Standard deviation of the Gaussian in the direction `side`.
     let spread = Mat3::from_quat(rotation) * Mat3::from_diagonal(Vec3::from(scales));
     let width = (spread.transpose() * side).length();
     let mut table = Table::zeros(core_groups(), 2);
@@ -276,7 +277,7 @@ fn layers_row() -> Row {
     }
 }
 
-/// The own sheet: discs side by side, all in the light.
+/// A sheet of discs side by side, all in the light, which must not shadow itself.
 fn sheet_row() -> Row {
     let sheet = |sigma: f32| {
         let side = 11;
@@ -347,7 +348,7 @@ fn least_from_centres(table: &Table, sun: Vec3) -> f32 {
     (0..table.count).map(through).fold(1.0, f32::min)
 }
 
-/// A point light in the very place of a Gaussian, and ever nearer to it.
+/// A point light at the position of a Gaussian, and at ever smaller distances from it.
 fn point_row() -> Row {
     let (mut robust, mut naive) = (Worst::default(), Worst::default());
     let at_place = Vec3::new(3.0, -2.0, 1.0);

@@ -7,6 +7,7 @@ use heliosplat::model::shadow_gs::{softplus, softplus_inverse};
 use heliosplat::optim::{Adam, exponential_decay};
 use heliosplat::splat::kernel::exp2;
 
+/// Rows of formulas of one number; costs only if `timed`.
 pub(super) fn rows(timed: bool) -> Vec<Row> {
     vec![
         softplus_row(timed),

@@ -8,6 +8,7 @@ use heliosplat::shade::falloff::{LEAST_RADIUS, falloff};
 use heliosplat::shade::{display, ggx, split_sum};
 use std::f64::consts::PI;
 
+/// Rows of reflection and transmission; costs only if `timed`.
 pub(super) fn rows(timed: bool) -> Vec<Row> {
     vec![
         density_row(timed),
@@ -41,7 +42,7 @@ fn exact_density(h: DVec3, alpha: f64) -> f64 {
     1.0 / (PI * alpha * alpha * (across + h.z * h.z).powi(2))
 }
 
-/// As it is usually written: `α² / (π ((n·h)² (α² - 1) + 1)²)`; f32.
+/// The density as it is usually written: `α² / (π ((n·h)² (α² - 1) + 1)²)`; f32.
 fn naive_density(h: Vec3, alpha: f32) -> f32 {
     let square = alpha * alpha;
     let sum = h.z * h.z * (square - 1.0) + 1.0;
@@ -188,7 +189,7 @@ fn printed_lobe(v: DVec3, lobe: [f64; 3]) -> f64 {
     (-0.5 * (angle * ratio / lobe[2]).powi(2)).exp() / (2f64.sqrt() * PI.powf(2.0 / 3.0) * lobe[2])
 }
 
-/// The same with an arc cosine and a normalised tangent; f32.
+/// The printed lobe with an arc cosine and a normalised tangent; f32.
 fn naive_lobe(v: Vec3, lobe: Lobe) -> f32 {
     let tangent = v.truncate() / v.truncate().length();
     let ratio = (tangent.x / lobe.lambda).hypot(tangent.y / lobe.mu);

@@ -31,7 +31,7 @@ pub(super) fn folder() -> &'static Path {
     folder.path()
 }
 
-/// One file for each dialect: a field of view, focal lengths, lamps by name and in lists, a refined pose.
+/// One `transforms.json` for each dialect: a field of view, focal lengths, lamps by name and in lists, a refined pose.
 pub(super) fn transforms() -> Vec<Vec<u8>> {
     let pose = "[[0.8, 0.3, -0.5, -2.0], [-0.6, 0.4, -0.7, -2.8], [0.0, 0.9, 0.5, 2.0], [0.0, 0.0, 0.0, 1.0]]";
     [
@@ -64,7 +64,7 @@ pub(super) fn olat() -> Olat {
     })
 }
 
-/// `model.json` of every kind.
+/// A `model.json` for every kind of model.
 pub(super) fn models() -> Vec<Vec<u8>> {
     let (olat, options) = (
         olat(),
@@ -124,7 +124,7 @@ pub(super) fn models() -> Vec<Vec<u8>> {
         .collect()
 }
 
-/// `model.ply`, of some Gaussians and of none.
+/// Two files `model.ply`, with five Gaussians and with none.
 pub(super) fn plys() -> Vec<Vec<u8>> {
     let mut groups = core_groups();
     groups.extend(olat().feature_groups());
@@ -140,7 +140,7 @@ pub(super) fn plys() -> Vec<Vec<u8>> {
     ]
 }
 
-/// `run.toml`.
+/// One `run.toml`.
 pub(super) fn runs() -> Vec<Vec<u8>> {
     let run = ObjectRun {
         version: "0.1.0".into(),

@@ -17,7 +17,8 @@ fn in_a_file(name: &str, bytes: &[u8], read: impl FnOnce(&Path) -> bool) -> bool
     read(&path)
 }
 
-/// A raster of any format that GDAL recognises: its metadata, and means of its first pixels.
+/// Reads a raster of any format that GDAL recognises: its metadata, and means of its first pixels. True if it is
+/// accepted.
 pub fn raster_file(bytes: &[u8]) -> bool {
     in_a_file("a.img", bytes, |path| {
         let Ok(file) = RasterFile::open(path) else {
@@ -34,7 +35,7 @@ pub fn raster_file(bytes: &[u8]) -> bool {
     })
 }
 
-/// A picture of a capture: PNG, JPEG or EXR.
+/// Reads a picture of a capture: PNG, JPEG or EXR. True if it is accepted.
 pub fn picture_file(bytes: &[u8]) -> bool {
     in_a_file("a.png", bytes, |path| match pixels::size_px(path) {
         Ok([width, height]) if width * height <= PICTURE_PX => pixels::read(path).is_ok(),
@@ -49,6 +50,7 @@ fn bytes_of(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
     std::fs::read(path).expect("readable")
 }
 
+/// Rasters in three formats: GeoTIFF, HFA and NITF.
 pub(super) fn raster_files() -> Vec<Vec<u8>> {
     let raster = Raster::filled(16, 12, 2, 7.0);
     let tiff = bytes_of("a.tif", |path| {
@@ -63,6 +65,7 @@ pub(super) fn raster_files() -> Vec<Vec<u8>> {
     vec![tiff, of("HFA"), of("NITF")]
 }
 
+/// Pictures in two formats: PNG with coverage and EXR.
 pub(super) fn picture_files() -> Vec<Vec<u8>> {
     let of = |name: &str, picture: image::DynamicImage| bytes_of(name, |path| picture.save(path).expect("written"));
     vec![

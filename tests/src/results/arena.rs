@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A measured scene.
+/// A scene on which the program is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Arena {
@@ -22,6 +22,7 @@ pub enum Arena {
 }
 
 impl Arena {
+    /// All arenas, in the order of the page.
     pub(super) const ALL: [Self; 6] = [
         Self::Block,
         Self::City,
@@ -31,7 +32,7 @@ impl Arena {
         Self::Reflective,
     ];
 
-    /// As the option `--arenas` names it.
+    /// Name of the arena in the option `--arenas`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Block => "block",
@@ -43,11 +44,12 @@ impl Arena {
         }
     }
 
+    /// True for a captured object, false for a satellite scene.
     pub(super) fn is_object(self) -> bool {
         matches!(self, Self::Olat | Self::Reflective)
     }
 
-    /// Heading, setting and commands.
+    /// Heading, setting and commands of the arena's section, in Markdown.
     pub(super) fn head(self) -> [&'static str; 3] {
         match self {
             Self::Block => [
@@ -83,6 +85,7 @@ impl Arena {
         }
     }
 
+    /// Columns of the arena's table.
     pub(super) fn columns(self) -> &'static [Column] {
         match self {
             Self::Block | Self::City => &SURFACE,
@@ -96,10 +99,13 @@ impl Arena {
 
 /// One column of a table.
 pub(super) struct Column {
+    /// Heading of the column, with its unit.
     pub(super) head: &'static str,
-    /// Key of [`Record::numbers`].
+    /// Key of the number in [`Record::numbers`].
     pub(super) key: &'static str,
+    /// Factor from the stored number to the printed one.
     pub(super) factor: f64,
+    /// Number of decimals printed.
     pub(super) decimals: usize,
 }
 
@@ -169,30 +175,30 @@ pub(super) const NOTES: [(&str, &str); 4] = [
         "**PSNR held out**: images that were not trained on, in the colour of a training image of the same day.",
     ),
 ];
-/// Wall time of the command, seconds.
+/// Key of the wall time of the command, seconds.
 pub(super) const SECONDS: &str = "seconds";
-/// Most memory that the command held, bytes.
+/// Key of the peak memory of the command, bytes.
 pub(super) const PEAK_BYTES: &str = "peak_bytes";
 
-/// Measurements of one run.
+/// Measurements of one run of the program.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// The arena.
+    /// Arena of the run.
     pub arena: Arena,
-    /// The preset, or `sweep`.
+    /// Name of the preset, or `sweep`.
     pub preset: String,
-    /// The seed.
+    /// Seed of the scene, or of training where the scene is fixed.
     pub seed: u64,
     /// Version that the program reports.
     pub version: String,
     /// Hash of the program's file: records of another program are not used.
     pub program: String,
-    /// Day of the run.
+    /// Day of the run, `YYYY-MM-DD`.
     pub date: String,
-    /// Cores and processor.
+    /// Number of cores and name of the processor.
     pub machine: String,
-    /// Numbers by their place in `metrics.json`, and wall seconds and peak bytes of the process.
+    /// Numbers by their JSON pointer in `metrics.json`, and wall time (seconds) and peak memory (bytes) of the process.
     pub numbers: BTreeMap<String, f64>,
-    /// Reason why nothing could be measured, if so.
+    /// Reason why nothing could be measured; `None` for a measured run.
     pub not_run: Option<String>,
 }

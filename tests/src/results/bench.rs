@@ -10,12 +10,12 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Training of objects: one preset.
+/// Only preset of the trainings of objects.
 const OBJECT_PRESET: &str = "fast";
-/// No run takes this long.
+/// Time after which a run is killed, longer than any run takes.
 const LIMIT: Duration = Duration::from_secs(6 * 3600);
 
-/// A program and where its runs are kept.
+/// A program to measure and the work folder of its runs.
 pub(super) struct Bench<'a> {
     request: &'a Request,
     version: String,
@@ -24,6 +24,10 @@ pub(super) struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
+    /// Reads the version of the program and the hash of its file, and makes the work folder.
+    ///
+    /// # Errors
+    /// A sentence with the program or folder at fault.
     pub(super) fn new(request: &'a Request) -> Result<Self, String> {
         let bytes = std::fs::read(&request.program)
             .map_err(|fault| format!("{}: {fault}; build it with make build", request.program.display()))?;
@@ -43,7 +47,10 @@ impl<'a> Bench<'a> {
         self.request.work.join(name)
     }
 
-    /// The records of this program.
+    /// Reads the records of this program from the work folder; none without a file of records.
+    ///
+    /// # Errors
+    /// A sentence with the file that cannot be read.
     pub(super) fn records(&self) -> Result<Vec<Record>, String> {
         let path = self.path("records.jsonl");
         if !path.exists() {
@@ -84,7 +91,10 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Measures the runs of an arena that have no record.
+    /// Measures the runs of an arena that have no record. A missing scene is recorded as such.
+    ///
+    /// # Errors
+    /// A sentence with the command or file at fault.
     pub(super) fn measure(&self, arena: Arena, records: &mut Vec<Record>) -> Result<(), String> {
         let presets: Vec<&str> = match arena.is_object() {
             true => vec![OBJECT_PRESET],
@@ -248,7 +258,7 @@ impl<'a> Bench<'a> {
         run_program(&self.request.program, arguments, LIMIT)
     }
 
-    /// Runs the program, which must succeed.
+    /// Runs the program; a failure is the error.
     fn must<S: AsRef<std::ffi::OsStr>>(&self, arguments: &[S]) -> Result<Measured, String> {
         let measured = self.call(arguments);
         if measured.code == Some(0) {
@@ -266,9 +276,9 @@ impl<'a> Bench<'a> {
 
 /// Reason why an arena has no scene.
 enum NoScene {
-    /// It is missing, or the program does not accept it: the page states that.
+    /// The scene is missing, or the program does not accept it; the page states the reason.
     Absent(String),
-    /// Something went wrong.
+    /// A command failed or a file could not be read or written.
     Fault(String),
 }
 

@@ -16,7 +16,7 @@ Errors, times and memory of the presets. `cargo run --release -p heliosplat-test
   presets are in the [lab](lab/presets.md).
 ";
 
-/// The page.
+/// Text of the page, in Markdown, from the records of one program.
 pub fn page(records: &[Record]) -> String {
     let mut text = HEAD.to_owned();
     for arena in Arena::ALL {

@@ -1,37 +1,37 @@
-//! Options of the command.
+//! Options of the command `results`.
 
 use super::arena::Arena;
 use std::path::{Path, PathBuf};
 
 /// Seeds on which no constant was chosen.
 const SEEDS: [u64; 3] = [11, 12, 13];
-/// The surface without training, then the presets of `train`.
+/// `sweep` for the surface without training, then the presets of `train`.
 pub(super) const PRESETS: [&str; 4] = ["sweep", "fast", "balanced", "accurate"];
 
-/// Request of a page.
+/// Options of a measurement and its page.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Request {
-    /// The page.
+    /// File of the page.
     pub out: PathBuf,
-    /// The program measured.
+    /// Program to measure.
     pub program: PathBuf,
-    /// Scenes, runs and records.
+    /// Folder of scenes, runs and records.
     pub work: PathBuf,
-    /// Arenas to measure.
+    /// Arenas to measure, in this order.
     pub arenas: Vec<Arena>,
-    /// Seeds.
+    /// Seeds of the scenes, or of training where the scene is fixed.
     pub seeds: Vec<u64>,
-    /// Presets, and `sweep`.
+    /// Presets to measure, among them `sweep`.
     pub presets: Vec<String>,
     /// True if only the page is written.
     pub page_only: bool,
 }
 
 impl Request {
-    /// The request of a command line.
+    /// Parses the arguments of the command line.
     ///
     /// # Errors
-    /// An unknown option or value.
+    /// A sentence with the unknown option or value, or the missing value.
     pub fn parse(words: &[String]) -> Result<Self, String> {
         let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let mut request = Self {
@@ -77,7 +77,7 @@ impl Request {
     }
 }
 
-/// The one of `known` that is called `name`.
+/// The element of `known` with this name; the error lists all names.
 fn named<T: Copy>(name: &str, known: &[T], name_of: impl Fn(T) -> &'static str) -> Result<T, String> {
     let names: Vec<&str> = known.iter().map(|&one| name_of(one)).collect();
     known

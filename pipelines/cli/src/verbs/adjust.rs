@@ -1,4 +1,4 @@
-//! `heliosplat adjust`: corrected cameras, and a picture of their residuals.
+//! `heliosplat adjust`: corrects cameras by tie points, and draws their residuals.
 
 use crate::args::IngestArgs;
 use crate::names::BiasName;
@@ -33,7 +33,10 @@ pub struct AdjustArgs {
     pub ingest: IngestArgs,
 }
 
-/// Adjusts the cameras of a scene and writes them.
+/// Adjusts the cameras of a scene, and writes them with a picture of their residuals.
+///
+/// # Errors
+/// When the scene cannot be used, its cameras cannot be adjusted, or a file cannot be written.
 pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliError> {
     let options = args.ingest.options();
     let index = Index::open(&args.scene, options.rpc)?;

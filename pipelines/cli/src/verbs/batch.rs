@@ -1,4 +1,4 @@
-//! `heliosplat batch`: arguments, and the choice between plan, units and summary.
+//! `heliosplat batch`: plans, runs or summarises the batch of a manifest.
 
 use crate::outcome::{CliError, Outcome};
 use crate::parse;
@@ -47,7 +47,10 @@ pub struct BatchArgs {
     pub attended: bool,
 }
 
-/// Plans, runs or summarises a batch.
+/// Plans, runs or summarises a batch, or runs one of its units.
+///
+/// # Errors
+/// When the manifest or a unit cannot be used, a unit fails, a file cannot be written, or the user stops the batch.
 pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -> Result<Outcome, CliError> {
     if args.attended {
         session.stop_with_input();
@@ -107,7 +110,7 @@ fn only(args: &BatchArgs, id: &str, session: &Session) -> Result<Outcome, CliErr
     })
 }
 
-/// The plan, or what of it is left to do.
+/// Outcome of `--plan` and `--dry-run`: the units with their memory, time and state.
 fn planned(args: &BatchArgs, plan: &Plan) -> Outcome {
     let mut text = String::new();
     let mut units = Vec::new();

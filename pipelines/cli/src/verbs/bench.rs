@@ -1,4 +1,4 @@
-//! `heliosplat bench`: rates of this machine, on all threads.
+//! `heliosplat bench`: measures the speed of this machine, on all threads.
 
 use crate::outcome::{CliError, Outcome};
 use heliosplat::bench_fixture::{Descent, Lighting, Site, toward_grey};
@@ -10,20 +10,21 @@ use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
 
-/// Gaussians of the site.
+/// Number of Gaussians of the site.
 const GAUSSIANS: usize = 100_000;
-/// Side of its image, pixels.
+/// Side of the site's image, pixels.
 const SIZE_PX: usize = 512;
-/// Size of a Gaussian in distances between neighbours; makes some twelve pairs on a pixel.
+/// Size of a Gaussian relative to the distance between neighbours; gives some twelve pairs of Gaussian and pixel per
+/// pixel.
 const SPREAD: f32 = 0.6;
 /// Channels composited: three colours and the visibility.
 const CHANNELS: usize = 4;
-/// Points through a camera in one go.
+/// Number of points in one measurement of a camera.
 const POINTS: usize = 1_000_000;
-/// Least time for the measurement of one rate.
+/// Least time in which one rate is measured.
 const PATIENCE: Duration = Duration::from_secs(4);
 
-/// Seconds of the quickest of some runs: the one that other work on the machine disturbed least.
+/// Seconds of the fastest of several runs, which other work on the machine disturbed least; a first run is not timed.
 fn seconds<T>(mut work: impl FnMut() -> T) -> f64 {
     work();
     let start = Instant::now();
@@ -75,14 +76,14 @@ fn splat_rates(site: &Site) -> (f64, f64, f64) {
     (forward / pairs * 1e9, backward / pairs * 1e9, pairs / pixels)
 }
 
-/// Nanoseconds per ray toward the sun of a step in training: listing, or fitting the hierarchy to Gaussians that have moved;
-/// tracing; and gradients of everything.
+/// Nanoseconds per ray toward the sun in a training step: listing of Gaussians, or refit of the hierarchy to moved
+/// Gaussians; tracing; and gradients of all parameters.
 fn light_rate(site: &Site, sun_visibility: SunVisibility) -> f64 {
     let mut lighting = Lighting::new(site, sun_visibility);
     seconds(|| lighting.step()) / site.parameters.gaussians.count as f64 * 1e9
 }
 
-/// Measures and reports.
+/// Measures the rates of cameras, rasterisation, sun visibility and training steps; never fails.
 pub(crate) fn run() -> Result<Outcome, CliError> {
     let threads = rayon::current_num_threads();
     timeline::take();

@@ -1,4 +1,4 @@
-//! `heliosplat completions`: completions of a shell, from the definition of the command line.
+//! `heliosplat completions`: prints completions of a shell, from the definition of the command line.
 
 use crate::outcome::{CliError, Outcome};
 use clap::{Args, Command};
@@ -12,7 +12,10 @@ pub struct CompletionsArgs {
     pub shell: Shell,
 }
 
-/// The script for `command` on stdout.
+/// Completion script of `command` for a shell.
+///
+/// # Errors
+/// When the script is not UTF-8.
 pub(crate) fn run(args: &CompletionsArgs, mut command: Command) -> Result<Outcome, CliError> {
     let name = command.get_name().to_owned();
     let mut script = Vec::new();

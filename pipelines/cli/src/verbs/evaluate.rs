@@ -1,4 +1,4 @@
-//! `heliosplat evaluate`.
+//! `heliosplat evaluate`: measures a run or a DSM against truth.
 
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model;
@@ -6,7 +6,10 @@ use crate::outcome::{CliError, Outcome};
 use crate::outputs::{Inputs, must_end_in};
 use heliosplat_evaluate::evaluate_dsm;
 
-/// Compares and reports.
+/// Measures a DSM against a truth file, or a run against the truth of its scene.
+///
+/// # Errors
+/// When an option or a file cannot be used, or a picture cannot be written.
 pub(crate) fn run(args: &EvaluateArgs) -> Result<Outcome, CliError> {
     for (path, option, format) in [
         (&args.error_map, "--error-map", "png"),

@@ -39,10 +39,10 @@ pub struct EvaluateArgs {
     pub calibration: Option<PathBuf>,
 }
 
-/// Writes the pictures of an evaluation that were asked for.
+/// Writes the requested pictures of an evaluation.
 ///
 /// # Errors
-/// When a file cannot be written, or the DSM has no standard deviations to be drawn.
+/// When a file cannot be written, or `--calibration` is given for a DSM without standard deviations.
 pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result<(), CliError> {
     if let Some(path) = &args.error_map {
         write_png(path, &error_map::draw(&evaluation.errors))?;
@@ -59,7 +59,7 @@ pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result
     Ok(())
 }
 
-/// The metrics as a table for people.
+/// Formats metrics as a table for a terminal: errors in total, by class and by distance from walls, and uncertainty.
 pub fn table(metrics: &DsmMetrics) -> String {
     let mut text = format!(
         "protocol {}   shift east {:.2} north {:.2} up {:.2} m\n",

@@ -1,4 +1,4 @@
-//! `export` of a run on a satellite scene, or of a batch's mosaic.
+//! `heliosplat export` for runs on satellite scenes, and for mosaics of batches.
 
 mod mosaic;
 
@@ -13,10 +13,10 @@ use heliosplat_rpc::sun::sun_position;
 use serde_json::json;
 use std::path::Path;
 
-/// Writes what other programs can use of a run or a mosaic.
+/// Writes splats, meshes and tiles of a run or a mosaic for other programs.
 ///
 /// # Errors
-/// When the run, the sun or a name is at fault, or a file cannot be written.
+/// When the run, the sun, an option or a file name cannot be used, or a file cannot be written.
 pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
     let source = Source::open(&args.run)?;
     for (given, name) in [
@@ -95,7 +95,7 @@ impl Source {
         }
     }
 
-    /// Gaussians of a run; a mosaic's are counted when its tiles are read.
+    /// Number of Gaussians of a run; `None` for a mosaic, whose tiles are read later.
     fn gaussians(&self) -> Option<usize> {
         match self {
             Self::Run(model) => Some(model.parameters.gaussians.count),

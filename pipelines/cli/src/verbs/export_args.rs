@@ -1,4 +1,4 @@
-//! Arguments of `export`: models for other programs.
+//! Arguments of `export`.
 
 use crate::parse;
 use clap::{ArgGroup, Args};

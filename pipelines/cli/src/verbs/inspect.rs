@@ -1,4 +1,4 @@
-//! `heliosplat inspect`: content of a scene, and decisions about it, before training.
+//! `heliosplat inspect`: describes a scene, and the decisions about its model, before training.
 
 use super::object;
 use crate::args::{IngestArgs, NamedScene};
@@ -23,7 +23,10 @@ pub struct InspectArgs {
     ingest: IngestArgs,
 }
 
-/// Reads the scene and describes it.
+/// Reads a scene or a capture, and describes it.
+///
+/// # Errors
+/// When the scene cannot be used.
 pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     let scene = NamedScene::new(&args.scene)?;
     let scene = &scene.path;
@@ -71,9 +74,9 @@ fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
     text
 }
 
-/// Number of training images that see the points of a grid over the scene's area, at mid altitude.
+/// Coverage of the scene's area by training images, on a grid of points at mid altitude.
 struct Coverage {
-    /// Shares of the area seen by at least 1, 2, 3 … images.
+    /// Shares of the area that at least 1, 2, 3 … images see, 0 to 1.
     at_least: Vec<f64>,
 }
 
@@ -171,7 +174,7 @@ fn off_nadir_deg(image: &SceneImage) -> f64 {
     image.ray().z.abs().clamp(0.0, 1.0).acos().to_degrees()
 }
 
-/// Most pairs of images that the table lists: all of six images.
+/// Most pairs of images in the table: all pairs of six images.
 const MOST_PAIRS: usize = 15;
 
 fn pairs_table(mut pairs: Vec<ImagePair>) -> String {

@@ -1,4 +1,4 @@
-//! `heliosplat man`: manual pages, one for the program and one for each verb, from the definition of the command line itself.
+//! `heliosplat man`: writes manual pages of the program and of each verb, from the definition of the command line.
 
 use crate::outcome::{CliError, Outcome};
 use clap::{Args, Command};
@@ -15,8 +15,11 @@ pub struct ManArgs {
 }
 
 /// Writes the pages of `command`: `heliosplat.1`, `heliosplat-train.1` and so on.
+///
+/// # Errors
+/// When a page cannot be written.
 pub(crate) fn run(args: &ManArgs, command: Command) -> Result<Outcome, CliError> {
-    // The libraries that `--version` names are those of this machine; a manual page is read on others.
+    // `--version` names the libraries of this machine, but manual pages are read on others.
     let mut command = command.version(env!("CARGO_PKG_VERSION")).disable_help_subcommand(true);
     command.build();
     let mut pages = Vec::new();
@@ -32,7 +35,7 @@ pub(crate) fn run(args: &ManArgs, command: Command) -> Result<Outcome, CliError>
     })
 }
 
-/// The page of a command, then those of its verbs.
+/// Writes the page of a command, then the pages of its verbs; appends their paths to `pages`.
 fn write_pages(command: &Command, folder: &Path, pages: &mut Vec<PathBuf>) -> Result<(), CliError> {
     let page = Man::new(command.clone())
         .source(concat!("heliosplat ", env!("CARGO_PKG_VERSION")))

@@ -13,8 +13,13 @@ use heliosplat_objects::model::is_object_run;
 use heliosplat_session::Session;
 use std::path::Path;
 
+/// Trains a model of a satellite scene or of a capture.
+///
+/// # Errors
+/// When the folder of the run is occupied, and errors of the pipeline.
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
-    // Before the images are read; what the checkpoint is of needs them.
+    // An occupied folder without a checkpoint is refused before the images are read. The inputs of a checkpoint are
+    // compared after that.
     if args.earlier() == Earlier::Keep && !checkpoint::path_in(&args.out).exists() {
         run_folder::must_be_free(&args.out)?;
     }
@@ -28,6 +33,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     }
 }
 
+/// Renders a run under another light.
+///
+/// # Errors
+/// Errors of the pipeline.
 pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     match is_object_run(&args.run) {
         true => object::relight(args),
@@ -35,6 +44,10 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     }
 }
 
+/// Renders the views of a run.
+///
+/// # Errors
+/// Errors of the pipeline.
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     match is_object_run(&args.run) {
         true => object::render(args, session),
@@ -42,6 +55,10 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     }
 }
 
+/// Exports a run, or a mosaic, for other programs.
+///
+/// # Errors
+/// Errors of the pipeline.
 pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
     match is_object_run(&args.run) {
         true => object::export(args, session),
@@ -49,6 +66,10 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
     }
 }
 
+/// Measures a run against the truth of its scene, or against its held-out images.
+///
+/// # Errors
+/// When `--relit` is given for the run of an object, and errors of the pipeline.
 pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
     match is_object_run(run) {
         true if args.relit.is_some() => Err(CliError::Input(format!(

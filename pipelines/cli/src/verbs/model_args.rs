@@ -162,7 +162,7 @@ pub struct RenderArgs {
 }
 
 impl TrainArgs {
-    /// Request of a training.
+    /// Request of a training that began at `begun`.
     pub(crate) fn request(&self, preset: Preset, begun: Instant) -> TrainRequest {
         TrainRequest {
             out: self.out.clone(),
@@ -175,7 +175,8 @@ impl TrainArgs {
         }
     }
 
-    /// The outcome of a training: the summary of its metrics, and its folder.
+    /// Outcome of a training: `summary` of its metrics and its folder, followed by `before`, a remark about an earlier
+    /// run.
     pub(crate) fn trained(&self, summary: &str, metrics: Value, before: &str) -> Outcome {
         Outcome {
             text: format!("{summary}\nrun            {}{before}", self.out.display()),

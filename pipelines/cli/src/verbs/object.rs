@@ -1,4 +1,4 @@
-//! The verbs of captures of objects and of runs on them.
+//! Verbs for captures of objects, and for runs on them.
 
 use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
@@ -26,10 +26,11 @@ use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
-/// Trains a model.
+/// Trains a model of a capture, and writes its report.
 ///
 /// # Errors
-/// When the capture, the configuration or a limit is at fault, training gives up, or a file cannot be written.
+/// When the capture, an option or the configuration is invalid, a limit is exceeded, training fails or is stopped, or a
+/// file cannot be written.
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
     timeline::take();
@@ -64,10 +65,10 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     Ok(args.trained(&measure::summary(&metrics), metrics, before))
 }
 
-/// Renders the views of a run.
+/// Renders the views of a run as PNG files, with light components and normals if requested.
 ///
 /// # Errors
-/// When the run is at fault, or a file cannot be written.
+/// When the run cannot be used or has no such views or components, or a file cannot be written.
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let model = model::load(&args.run)?;
     let images: Vec<_> = model
@@ -117,10 +118,10 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     })
 }
 
-/// Shows an object under other lights.
+/// Renders an object under other lights as a PNG file.
 ///
 /// # Errors
-/// When the run, the lights, the view or the file to write is at fault.
+/// When the run cannot be used or relit, a light or the view is invalid, or the file cannot be written.
 pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     must_end_in("--out", &args.out, &["png"])?;
     Inputs::of_run(&args.run).keep(&args.out)?;
@@ -167,7 +168,7 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     let seen = model.relit(image, &lights);
     let seen =
         seen.ok_or_else(|| CliError::Input(format!("--view {}: the object lies behind that camera", args.view)))?;
-    // Lamps add up in linear values, whatever the images of the capture are.
+    // Lights add up in linear values, even if the images of the capture are display values.
     write_png(&args.out, &measure::picture_of(&seen, true))?;
     Ok(Outcome {
         text: format!(
@@ -180,10 +181,10 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     })
 }
 
-/// Writes what other programs can use of a run.
+/// Writes the splats, the mesh or the model of a run for other programs.
 ///
 /// # Errors
-/// When the run or the light is at fault, or a file cannot be written.
+/// When the run or an option cannot be used, or a file cannot be written.
 pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
     for (given, name) in [
         (args.splats.is_some(), "splats"),
@@ -250,7 +251,7 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
     })
 }
 
-/// Cells along the longest side of the grid of a mesh, unless said otherwise.
+/// Default number of cells along the longest side of a mesh's grid.
 const MESH_CELLS: u32 = 192;
 
 fn mesh_format(path: &Path) -> Result<mesh::Format, CliError> {
@@ -283,10 +284,10 @@ pub(crate) fn evaluate(folder: &Path) -> Result<Outcome, CliError> {
     })
 }
 
-/// Describes a capture.
+/// Describes a capture: images, values, background, lights, extent, and the expected kind of model.
 ///
 /// # Errors
-/// When the capture is at fault.
+/// When the capture cannot be read.
 pub(crate) fn inspect(path: &Path) -> Result<Outcome, CliError> {
     let capture = open(path, None)?;
     let (background, why) = views::background(&capture, Background::Auto);

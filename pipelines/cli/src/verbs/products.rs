@@ -1,4 +1,4 @@
-//! `heliosplat products`: files for a GIS.
+//! `heliosplat products`: writes files for a GIS.
 
 use crate::args::map_of;
 use crate::names::GeoidName;
@@ -54,6 +54,10 @@ impl ProductsArgs {
     }
 }
 
+/// Writes the products of runs, and a STAC collection of several.
+///
+/// # Errors
+/// When a run or an option cannot be used, or a file cannot be written.
 pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, CliError> {
     let several = args.runs.len() > 1;
     let out = match (&args.out, several) {
@@ -119,7 +123,8 @@ fn write_run(
     Ok(set::write(&model, folder, &request, names, &|done| progress.set(done))?)
 }
 
-/// A name for a folder's contents: its own, of letters, digits and `._-` only.
+/// Name of a folder, with other characters than ASCII letters, digits and `._-` replaced by `_`; `run` if only dots are
+/// left.
 fn name(folder: &Path) -> String {
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -138,7 +143,7 @@ fn name(folder: &Path) -> String {
     }
 }
 
-/// The names of the runs, numbered where they repeat.
+/// Names of the runs; repeated names are numbered from 2.
 fn ids(runs: &[PathBuf]) -> Vec<String> {
     let mut ids: Vec<String> = Vec::new();
     for run in runs {

@@ -1,4 +1,4 @@
-//! `heliosplat report`: a run, or a mosaic, on one page.
+//! `heliosplat report`: writes the report of a run or a mosaic.
 
 use crate::outcome::{CliError, Outcome};
 use clap::Args;
@@ -14,6 +14,10 @@ pub struct ReportArgs {
     pub run: PathBuf,
 }
 
+/// Writes the report of a run or a mosaic into its folder.
+///
+/// # Errors
+/// When the folder cannot be read, or the page cannot be written.
 pub(crate) fn run(args: &ReportArgs) -> Result<Outcome, CliError> {
     let path = if args.run.join(heliosplat_pages::page::MOSAIC_FILE).is_file() {
         report::mosaic::write(&args.run)?

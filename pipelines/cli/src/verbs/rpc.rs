@@ -37,10 +37,13 @@ struct CameraArgs {
     rpc: RpcName,
 }
 
-/// The longest line, bytes.
+/// Size from which a line is refused, bytes.
 const LINE_MAX: u64 = 4096;
 
-/// Transforms all of stdin.
+/// Transforms the points on stdin, one per line.
+///
+/// # Errors
+/// When the camera cannot be read, or a line is no point or cannot be transformed.
 pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
     let (Direction::Project(camera) | Direction::Localise(camera)) = &args.direction;
     let rpc = camera_of(&camera.camera, camera.rpc.into())?;
@@ -105,7 +108,7 @@ fn three_numbers(line: &str) -> Result<[f64; 3], String> {
     }
 }
 
-/// Plain decimal notation with 17 significant digits, which identify a double.
+/// Decimal notation with 17 significant digits, which identify a double exactly; at most 30 digits after the point.
 fn digits17(value: f64) -> String {
     if value == 0.0 {
         return "0".to_owned();

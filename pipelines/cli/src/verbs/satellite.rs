@@ -1,4 +1,4 @@
-//! The verbs of satellite scenes and of runs on them.
+//! Verbs for satellite scenes, and for runs on them.
 
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, TrainArgs};
@@ -30,10 +30,11 @@ use serde_json::{Value, json};
 use std::path::Path;
 use std::time::Instant;
 
-/// Trains a model.
+/// Trains a model of a scene, and writes its report.
 ///
 /// # Errors
-/// When the scene, the configuration or a limit is at fault, training gives up, or a file cannot be written.
+/// When the scene or the configuration is invalid, a limit is exceeded, training fails or is stopped, or a file cannot
+/// be written.
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
     timeline::take();
@@ -60,7 +61,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         estimate.steps,
         estimate.peak_bytes / f64::from(1 << 30)
     );
-    // Before its surface is known, a scene is refused only where it would not even fit if it were flat.
+    // The surface is still unknown: the scene is refused only if one Gaussian per cell would not fit.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
     let request = args.request(preset, begun);
     let (metrics, before) = match training::train(&scene, &ingest, &config, &request, session)? {
@@ -91,10 +92,11 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     Ok(Outcome { text, json: metrics })
 }
 
-/// Writes the surface model of a run, or that of a scene's sweep.
+/// Writes the surface model of a run, or of the plane sweep of a scene, with its page.
 ///
 /// # Errors
-/// When the run, the scene, the coordinate system or the file to write is at fault.
+/// When the run, the scene, the coordinate reference system or an option cannot be used, no height is known, or a file
+/// cannot be written.
 pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError> {
     must_end_in("--out", &args.out, &["tif", "tiff"])?;
     let named = NamedScene::new(&args.runs)?;
@@ -185,15 +187,15 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     })
 }
 
-/// The timeline of this command.
+/// Timeline of this command, as JSON.
 fn stages() -> Value {
     serde_json::to_value(timeline::take()).unwrap_or_default()
 }
 
-/// Writes the scene of a run under another sun.
+/// Writes the scene of a run under another sun, and its shadow mask.
 ///
 /// # Errors
-/// When the run, the sun, the view or the file to write is at fault.
+/// When the run, the sun or the view cannot be used, or a file cannot be written or would replace an input.
 pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     must_end_in("--out", &args.out, &["tif", "tiff", "png"])?;
     let model = load(&args.run)?;
@@ -221,10 +223,10 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     })
 }
 
-/// Renders the views of a run.
+/// Renders the views of a run as GeoTIFFs in counts of the images, with their shadow masks.
 ///
 /// # Errors
-/// When the run is at fault, or a file cannot be written.
+/// When the run cannot be used or has no view of the split, or a file cannot be written.
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let whole = load_whole(&args.run)?;
     let (model, changing) = (whole.on_last(), !whole.model.options.days.is_empty());
@@ -285,10 +287,11 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     })
 }
 
-/// Measures a run against the truth of its scene. What is measured under other suns is kept in the run and shown on its page.
+/// Measures a run against the truth of its scene. Figures under other suns are also written to the run's metrics and
+/// report.
 ///
 /// # Errors
-/// When the run, its scene or the truth cannot be read.
+/// When the run, its scene or the truth cannot be read, or a file cannot be written.
 pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliError> {
     let whole = load_whole(run)?;
     let model = whole.on_last();
@@ -316,7 +319,7 @@ pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliEr
     })
 }
 
-/// Puts what was measured under other suns into the `metrics.json` of a finished run, and on its page.
+/// Writes figures under other suns to the `metrics.json` of a finished run, and updates its report.
 fn keep(run: &Path, relit: &Value) -> Result<(), CliError> {
     let path = run.join("metrics.json");
     if !path.is_file() {

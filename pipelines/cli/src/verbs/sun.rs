@@ -1,4 +1,4 @@
-//! `heliosplat sun`.
+//! `heliosplat sun`: computes the position of the sun.
 
 use crate::outcome::{CliError, Outcome};
 use crate::parse;
@@ -34,7 +34,7 @@ fn place(text: &str) -> Result<GeoPoint, String> {
     })
 }
 
-/// Prints azimuth and elevation.
+/// Computes azimuth and geometric elevation of the sun, degrees; never fails.
 pub(crate) fn run(args: &SunArgs) -> Result<Outcome, CliError> {
     let sun = sun_position(args.time, args.place);
     let (azimuth_deg, elevation_deg) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());

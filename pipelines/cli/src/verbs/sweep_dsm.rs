@@ -1,4 +1,4 @@
-//! `dsm --from sweep`: the surface model of a scene without training, as a whole or in tiles, within a limit of memory.
+//! `dsm --from sweep`: surface model of a scene without training, as a whole or in tiles, within a memory limit.
 
 use super::model_args::DsmArgs;
 use crate::outcome::{CliError, Outcome};
@@ -17,27 +17,30 @@ use heliosplat_scene::{Index, IngestOptions, SceneError};
 use heliosplat_session::{Session, memory};
 use serde_json::{Value, json};
 
-/// Share of the machine's memory that a sweep may take where nothing is said.
+/// Share of the machine's memory that a sweep may take without `--memory`.
 const SHARE_OF_MEMORY: f64 = 0.5;
 
-/// A surface model that is made, and how.
+/// Surface model of a sweep, in memory or written.
 pub(super) enum SweptSurface {
     /// In memory.
     Whole {
-        /// The surface model.
+        /// Surface model, heights above the ellipsoid.
         surface: Box<Dsm>,
         /// Width of a cell, metres.
         gsd_m: f64,
         /// Limit, plan and peak of the sweep's memory, bytes, for `--json`.
         memory: Value,
-        /// Things a user should know of the scene, one line each.
+        /// Warnings about the scene, one line each.
         warnings: Vec<String>,
     },
-    /// Written already.
+    /// Written in tiles; the outcome of the verb.
     InTiles(Outcome),
 }
 
-/// Sweeps a scene; where it does not fit into memory, tile by tile into the file.
+/// Sweeps a scene in memory; a scene that does not fit into memory is swept in tiles and written to `--out`.
+///
+/// # Errors
+/// When the scene or the map cannot be used, an output would replace an input, or the file cannot be written.
 pub(super) fn sweep(
     args: &DsmArgs,
     (crs, geoid): (Option<&str>, Option<Geoid>),
@@ -78,7 +81,7 @@ fn memory_of(limit: Option<u64>, plan: &SweepPlan) -> Value {
     json!({"limit_bytes": limit, "planned_bytes": plan.peak_bytes.ceil(), "peak_bytes": peak_rss_bytes()})
 }
 
-/// Tile by tile; a range of altitudes that tie points gave is widened where the surface touches its limits.
+/// Sweeps a scene in tiles. An altitude range from tie points is widened if the surface touches its limits.
 fn in_tiles(
     args: &DsmArgs,
     index: &Index,
@@ -95,7 +98,7 @@ fn in_tiles(
         }
         drop(part);
         let plan = SweepPlan::of(&survey, config, map, limit)?;
-        // A range that is wider never makes a scene fit as a whole that did not.
+        // A wider altitude range needs more memory: the scene still does not fit as a whole.
         let Some(tiling) = &plan.tiling else { break };
         if args.fill {
             return Err(CliError::Input(
@@ -162,7 +165,7 @@ fn outcome_of(
     })
 }
 
-/// The error of a surface model that knows nothing.
+/// Error for a surface model without known heights.
 pub(super) fn nothing_known(args: &DsmArgs, crs: &str) -> CliError {
     CliError::Input(format!(
         "dsm: nothing of {} falls on a grid in {crs}; choose a projected coordinate system of the place with --crs",

@@ -138,7 +138,10 @@ impl From<SynthError> for CliError {
     }
 }
 
-/// Makes the scene.
+/// Makes a satellite scene or a capture of an object.
+///
+/// # Errors
+/// When the request is invalid, or a file cannot be written.
 pub(crate) fn run(args: &SynthArgs, session: &Session) -> Result<Outcome, CliError> {
     let summary = match args.kind {
         Kind::Satellite => synthesise(&args.satellite(), &args.out, session)?,
@@ -157,7 +160,7 @@ pub(crate) fn run(args: &SynthArgs, session: &Session) -> Result<Outcome, CliErr
 /// Makes a satellite scene, with a progress bar.
 ///
 /// # Errors
-/// [`CliError::Input`] for a request that cannot be met, [`CliError::Failed`] when it cannot be written.
+/// [`CliError::Input`] for an invalid request, [`CliError::Failed`] when a file cannot be written.
 pub fn synthesise(request: &SatelliteRequest, out: &Path, session: &Session) -> Result<Summary, CliError> {
     let bar = RefCell::new(None);
     let progress = |done: usize, total: usize| {

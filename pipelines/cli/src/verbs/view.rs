@@ -1,4 +1,4 @@
-//! `heliosplat view`: a surface and its sun in one file for the browser.
+//! `heliosplat view`: writes a page with a movable sun over a surface.
 
 use crate::outcome::{CliError, Outcome};
 use crate::outputs::{Inputs, must_end_in};
@@ -25,6 +25,10 @@ pub struct ViewArgs {
     pub out: Option<PathBuf>,
 }
 
+/// Writes the page, and opens it in the browser if neither `--out` nor `--json` is given.
+///
+/// # Errors
+/// When the surface cannot be read, or the page cannot be written or would replace an input.
 pub(crate) fn run(args: &ViewArgs, json: bool) -> Result<Outcome, CliError> {
     if let Some(out) = &args.out {
         must_end_in("--out", out, &["html", "htm"])?;
@@ -59,7 +63,7 @@ pub(crate) fn run(args: &ViewArgs, json: bool) -> Result<Outcome, CliError> {
     })
 }
 
-/// Opens a file in the user's browser; whether there was one to ask.
+/// Opens a file in the user's browser; returns true on success.
 fn open(path: &Path) -> bool {
     let silent = Stdio::null;
     let mut command = Command::new("xdg-open");

@@ -37,7 +37,7 @@ fn town(width: usize, height: usize, col0: f64, row0: f64) -> Raster {
 #[test]
 fn an_integer_shift_and_a_height_offset_are_found_exactly() {
     let truth = town(300, 260, 100.0, 100.0);
-    // The prediction shows at (col, row) what is truly at (col + 7, row - 4), 2.5 m too high.
+    // The prediction at (col, row) is the truth at (col + 7, row - 4), 2.5 m too high.
     let mut prediction = town(300, 260, 107.0, 96.0);
     prediction.values.iter_mut().for_each(|value| *value += 2.5);
     let (errors, shift) = compare(&prediction, &truth, None, Protocol::Aligned).expect("they overlap");
@@ -209,7 +209,7 @@ fn a_dfc_truth_is_placed_by_its_text() {
     );
     let outcome = evaluate_dsm(&prediction_path, &truth_path, None, Protocol::Raw).expect("comparable");
     assert!(outcome.metrics.all.mae_m < 1e-6 && outcome.metrics.all.completeness == 1.0);
-    // Its text has no zone, and means UTM.
+    // The text of the truth has no zone, and means UTM.
     assert!(outcome.warnings.is_empty(), "{:?}", outcome.warnings);
 }
 

@@ -16,7 +16,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The format by the extension of a file's name.
+    /// Format by the extension of a file's name; `None` where it is neither `ply` nor `glb`.
     pub fn of(path: &Path) -> Option<Self> {
         let ending = path.extension()?.to_str()?.to_ascii_lowercase();
         match ending.as_str() {
@@ -27,10 +27,10 @@ impl Format {
     }
 }
 
-/// The bytes of a file.
+/// Encodes a mesh as the bytes of a file.
 ///
 /// # Errors
-/// [`TooLarge`].
+/// [`TooLarge`] for a GLB file of more than 4 GiB.
 pub fn encode(mesh: &Mesh, format: Format) -> Result<Vec<u8>, TooLarge> {
     match format {
         Format::Ply => Ok(ply(mesh)),

@@ -1,9 +1,10 @@
-//! The calibration plot of a DSM: standard deviations against errors.
+//! Calibration plot of a DSM: standard deviations against errors.
 
 use super::chart::{Axis, Chart, Line, Scale, range};
 use heliosplat_evaluate::uncertainty::{Group, Uncertainty};
 
-/// Draws the plot with `draw`: stated standard deviation across, true error up, both logarithmic; on the dashed diagonal they agree.
+/// Draws the calibration plot with `draw`, and returns its result. Stated standard deviations are on the horizontal
+/// axis, true errors on the vertical one, metres, both logarithmic; they agree on the dashed diagonal.
 pub fn draw<T>(uncertainty: &Uncertainty, draw: impl Fn(&Chart) -> T) -> T {
     let groups = &uncertainty.groups;
     let values = groups.iter().flat_map(|g| [g.expected_m, g.rmse_m, g.median_m]);
@@ -57,7 +58,7 @@ mod tests {
             groups: vec![group(0.1, 0.0), group(0.5, 0.4), group(3.0, 2.0)],
         };
         let drawn = draw(&uncertainty, |chart| chart.file());
-        // The diagonal, and a line each for the two errors.
+        // Diagonal, RMSE and median error.
         assert_eq!(drawn.matches("<polyline").count(), 3);
         assert!(drawn.contains("RMSE") && drawn.contains("within one deviation 50 %") && !drawn.contains("NaN"));
         let of_nothing = draw(

@@ -1,30 +1,30 @@
-//! Charts as SVG. Every plot of the program is drawn here: a frame with two axes, lines, a legend.
+//! Charts as SVG: two axes with a grid, lines, a legend.
 //!
-//! A chart within a page takes its colours from the page's stylesheet; one in a file of its own has fixed colours.
+//! A chart within a page takes its colours from the page's stylesheet; a chart in its own file has fixed colours.
 
 use super::{plain, without_control_characters};
 use maud::{Markup, html};
 
-/// Left, right, top and bottom margins, in the chart's own units.
+/// Left, right, top and bottom margins, chart units.
 const MARGIN: [f64; 4] = [52.0, 14.0, 26.0, 42.0];
-/// Height of a line of text and mean width of a character at [`FONT_SIZE`].
+/// Height of a line of text and mean width of a character at [`FONT_SIZE`], chart units.
 const LINE_HEIGHT: f64 = 15.0;
 const CHARACTER: f64 = 6.8;
 const FONT_SIZE: f64 = 12.0;
-/// More ticks than this on an axis are too many.
+/// Most ticks of a logarithmic axis.
 const MOST_TICKS: usize = 8;
-/// The colours of a chart, as CSS writes them.
+/// Colours of a chart, in CSS notation.
 #[derive(Debug)]
 pub struct Theme {
-    /// Text.
+    /// Colour of text.
     pub text: &'static str,
-    /// Reference lines and frames.
+    /// Colour of reference lines and frames.
     pub faint: &'static str,
-    /// The grid.
+    /// Colour of the grid.
     pub grid: &'static str,
-    /// The background.
+    /// Colour of the background.
     pub paper: &'static str,
-    /// The lines, in their order.
+    /// Colours of the lines, in their order.
     pub series: [&'static str; 4],
 }
 
@@ -37,7 +37,7 @@ const PAGE: Theme = Theme {
     series: ["var(--warm)", "var(--cool)", "var(--faint)", "var(--text)"],
 };
 
-/// Theme for files: the colours of light mode.
+/// Theme of charts in their own files: the colours of light mode.
 pub const FILE: Theme = Theme {
     text: "#1b1b1b",
     faint: "#666",
@@ -49,13 +49,13 @@ pub const FILE: Theme = Theme {
 /// Mapping of values to positions along an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
-    /// Evenly.
+    /// Positions proportional to the values.
     Linear,
-    /// By their logarithm.
+    /// Positions proportional to the logarithms of the values, which must be above zero.
     Logarithmic,
 }
 
-/// One axis.
+/// Axis of a chart.
 #[derive(Debug, Clone, Copy)]
 pub struct Axis<'a> {
     /// Quantity shown, with its unit.
@@ -78,7 +78,7 @@ impl Axis<'_> {
         if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
     }
 
-    /// Round values with their labels.
+    /// Tick values with their labels.
     fn ticks(&self) -> Vec<(f64, String)> {
         match self.scale {
             Scale::Linear => linear_ticks(self.low, self.high),
@@ -87,7 +87,7 @@ impl Axis<'_> {
     }
 }
 
-/// Multiples of 1, 2 or 5 times a power of ten.
+/// Ticks at multiples of 1, 2 or 5 times a power of ten.
 fn linear_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     let span = high - low;
     let power = 10f64.powf((span / 5.0).log10().floor());
@@ -96,14 +96,15 @@ fn linear_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     if !(step.is_finite() && step > 0.0) {
         return Vec::new();
     }
-    // As many digits as the step has; the small number is for steps such as 0.1 that are a little less.
+    // As many digits as the step has; 1e-9 absorbs the rounding error of steps such as 0.1.
     let digits = (-(step.log10() + 1e-9).floor()).clamp(0.0, 12.0) as usize;
     let (first, last) = ((low / step).ceil() as i64, (high / step).floor() as i64);
     let ticks = (first..=last).map(|n| n as f64 * step);
     ticks.map(|tick| (tick, format!("{tick:.digits$}"))).collect()
 }
 
-/// 1, 2 and 5 times powers of ten; the powers alone over many decades, multiples of one step within less than one.
+/// Ticks at 1, 2 and 5 times powers of ten; only at the powers if these are too many, and evenly spaced if fewer than
+/// three.
 fn logarithmic_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     if !(low > 0.0 && low < high && high.is_finite()) {
         return Vec::new();
@@ -111,7 +112,7 @@ fn logarithmic_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     let within = |steps: &[f64]| -> Vec<f64> {
         let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
         let all = decades.flat_map(|power| steps.iter().map(move |step| step * 10f64.powi(power)));
-        // Ends that are ticks themselves stay in spite of rounding.
+        // Ticks at the ends of the axis stay in spite of rounding.
         let range = low * (1.0 - 1e-9)..=high * (1.0 + 1e-9);
         all.filter(|tick| range.contains(tick)).collect()
     };
@@ -125,36 +126,36 @@ fn logarithmic_ticks(low: f64, high: f64) -> Vec<(f64, String)> {
     ticks.into_iter().map(|tick| (tick, plain(tick))).collect()
 }
 
-/// A line through points.
+/// Polyline of a chart.
 #[derive(Debug, Clone)]
 pub struct Line {
-    /// Name in the legend; a line without a name is left out of it.
+    /// Name in the legend; a line with an empty name has no entry.
     pub name: String,
-    /// Its points, from left to right; those that are not finite are left out.
+    /// Points (x, y) from left to right, in units of the axes; points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
 }
 
-/// All that is drawn on one pair of axes.
+/// Chart with one pair of axes.
 #[derive(Debug)]
 pub struct Chart<'a> {
-    /// Width and height, in the chart's own units: a character is about 7 of them wide.
+    /// Width and height, chart units; a character is about 7 units wide.
     pub size: (f64, f64),
     /// Heading.
     pub title: &'a str,
-    /// A second line under it; none where empty.
+    /// Second line under the heading; empty for none.
     pub note: &'a str,
-    /// The axis from left to right.
+    /// Horizontal axis.
     pub across: Axis<'a>,
-    /// The axis upwards; its label is not drawn, the title says it.
+    /// Vertical axis; its label is not drawn, because the title names the quantity.
     pub up: Axis<'a>,
-    /// A dashed line to compare with, from the first point to the second.
+    /// Dashed reference line from the first point to the second.
     pub reference: Option<[(f64, f64); 2]>,
-    /// The lines.
+    /// Lines of the chart.
     pub lines: &'a [Line],
 }
 
 impl Chart<'_> {
-    /// The chart as part of a page.
+    /// Draws the chart as part of a page.
     pub fn inline(&self) -> Markup {
         let (width, height) = self.size;
         html! {
@@ -164,7 +165,7 @@ impl Chart<'_> {
         }
     }
 
-    /// The chart as a file of its own.
+    /// Draws the chart as the text of an SVG file.
     pub fn file(&self) -> String {
         svg_file(self.size, &self.draw(&FILE))
     }
@@ -209,7 +210,7 @@ impl Chart<'_> {
         }
     }
 
-    /// The grid and what its lines stand for.
+    /// Grid lines with their labels, and the label of the horizontal axis.
     fn axes(&self, theme: &Theme) -> Markup {
         let (width, height) = self.size;
         let (left, right, top, bottom) = (MARGIN[0], width - MARGIN[1], self.top(), height - MARGIN[3]);
@@ -228,7 +229,7 @@ impl Chart<'_> {
         }
     }
 
-    /// The names of the lines, in the corner that the lines leave free.
+    /// Names of the lines, in the corner that the lines cover least.
     fn legend(&self, theme: &Theme) -> Markup {
         let named = || {
             self.lines
@@ -243,7 +244,7 @@ impl Chart<'_> {
         let (top, bottom) = (self.top() + 4.0, self.size.1 - MARGIN[3] - 6.0 - height);
         let corners = [(right, bottom), (left, top), (right, top), (left, bottom)];
         let covered = |(x, y): &(f64, f64)| self.lines_within(&Area([*x, x + width, *y, y + height]));
-        // The first of equal ones.
+        // Of equal corners, the first.
         let (x, y) = corners.into_iter().min_by_key(covered).unwrap_or_default();
         html! {
             @for (row, (line, colour)) in named().enumerate() {
@@ -262,7 +263,7 @@ impl Chart<'_> {
     }
 }
 
-/// Points along a piece of a line.
+/// Evenly spaced points along a segment of a line.
 fn between(ends: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
     const PARTS: usize = 32;
     let ((x0, y0), (x1, y1)) = (ends[0], ends[1]);
@@ -272,7 +273,7 @@ fn between(ends: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
     })
 }
 
-/// Left, right, top, bottom.
+/// Rectangle: left, right, top, bottom, chart units.
 struct Area([f64; 4]);
 
 impl Area {
@@ -282,7 +283,7 @@ impl Area {
     }
 }
 
-/// An SVG file on white ground.
+/// SVG file with a white background.
 pub(super) fn svg_file((width, height): (f64, f64), body: &Markup) -> String {
     let file = html! {
         svg xmlns="http://www.w3.org/2000/svg" viewBox=(format_args!("0 0 {width} {height}")) width=(width) height=(height) {
@@ -293,13 +294,14 @@ pub(super) fn svg_file((width, height): (f64, f64), body: &Markup) -> String {
     without_control_characters(file.into_string() + "\n")
 }
 
-/// A chart of some lines whose upward axis begins at zero; `None` where there are no two points to join.
+/// Chart of lines whose vertical axis begins at zero; `None` if the points have no extent in x, or none is above zero.
 pub fn lines(title: &str, across: &str, lines: &[Line]) -> Option<Markup> {
     let top = 1.05 * known(lines).fold(0.0f64, |top, p| top.max(p.1));
     line_chart(title, across, lines, (0.0, top))
 }
 
-/// Lines with a vertical axis that need not start at zero: for values such as decibels, whose zero means nothing.
+/// Chart of lines whose vertical axis fits the values, for quantities without a meaningful zero, such as decibels;
+/// `None` if the points have no extent in x.
 pub fn lines_within(title: &str, across: &str, lines: &[Line]) -> Option<Markup> {
     let (low, high) = range(known(lines).map(|p| p.1));
     let room = 0.05 * (high - low).max(1.0);
@@ -333,7 +335,7 @@ fn known(lines: &[Line]) -> impl Iterator<Item = &(f64, f64)> {
     points.filter(|p| p.0.is_finite() && p.1.is_finite())
 }
 
-/// The least and the largest; infinite and the wrong way round of nothing.
+/// Least and largest value; (infinity, minus infinity) without values.
 pub fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let nothing = (f64::INFINITY, f64::NEG_INFINITY);
     values.fold(nothing, |(low, high), v| (low.min(v), high.max(v)))

@@ -1,4 +1,5 @@
-//! The picture of a camera adjustment: per image two frames, as delivered and adjusted, with a vector for every observation.
+//! Picture of a camera adjustment: for each image two frames, as delivered and adjusted, with a vector for every
+//! observation.
 
 use super::chart::{FILE, svg_file};
 use heliosplat_satellite::adjust::ImageVectors;
@@ -14,7 +15,7 @@ const PER_PIXEL: f64 = 12.0;
 /// Images in a row.
 const ACROSS: usize = 2;
 
-/// An SVG file of all images' residual vectors; outliers, which the adjustment left out, are grey.
+/// Draws the residual vectors of all images as an SVG file; outliers, which the adjustment left out, are grey.
 pub fn picture(images: &[ImageVectors]) -> String {
     let rows = images.len().div_ceil(ACROSS);
     let cell = (2.0 * FRAME + 3.0 * GAP, FRAME + TITLE + GAP);
@@ -31,7 +32,7 @@ pub fn picture(images: &[ImageVectors]) -> String {
     svg_file(size, &body)
 }
 
-/// The two frames of an image, under its name.
+/// Two frames of an image, under its name.
 fn both_frames(image: &ImageVectors, (left, top): (f64, f64)) -> Markup {
     let scale = FRAME / image.width.max(image.height).max(1) as f64;
     let (width, height) = (image.width as f64 * scale, image.height as f64 * scale);
@@ -42,7 +43,7 @@ fn both_frames(image: &ImageVectors, (left, top): (f64, f64)) -> Markup {
             " px, " (residuals.good) " of " (residuals.sightings) " ties"
         }
         @for (place, after) in [false, true].into_iter().enumerate() {
-            // An SVG of its own, which clips what is drawn in it.
+            // A nested SVG clips the vectors at the frame.
             svg x=(left + place as f64 * (FRAME + GAP)) y=(top + TITLE - 6.0) width=(format_args!("{width:.1}")) height=(format_args!("{height:.1}")) {
                 rect width="100%" height="100%" fill="none" stroke=(FILE.faint) {}
                 // Inliers over outliers.
@@ -54,7 +55,7 @@ fn both_frames(image: &ImageVectors, (left, top): (f64, f64)) -> Markup {
     }
 }
 
-/// The vectors of one frame as a path.
+/// Vectors of one frame as an SVG path.
 fn vectors(image: &ImageVectors, scale: f64, after: bool, good: bool) -> String {
     let mut path = String::new();
     for vector in image.vectors.iter().filter(|vector| vector.good == good) {

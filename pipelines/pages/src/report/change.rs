@@ -1,4 +1,4 @@
-//! The section of a report about buildings built or torn down between the images.
+//! Section of a report about buildings built or torn down between the images.
 
 use super::Contents;
 use super::parts::figure;
@@ -6,12 +6,12 @@ use crate::page::{number, section};
 use heliosplat_products::change::as_date;
 use maud::{Markup, html};
 
-/// Widest picture, pixels.
+/// Largest width of the picture, pixels.
 const PICTURE_PX: u32 = 640;
-/// More segments than this are not listed.
+/// Most segments that are listed.
 const LISTED: usize = 40;
 
-/// The segments that changed, largest first; nothing of a run whose images cannot tell.
+/// Changed segments, largest first; empty for a run without change detection.
 pub(super) fn changes(run: &Contents) -> Markup {
     let Some(changes) = &run.model.changes else {
         return html! {};

@@ -1,5 +1,5 @@
-//! The page of a mosaic: the whole area, the consistency of its tiles at their edges, and every tile. It is made from the files of
-//! the mosaic's folder and those of the tiles beside it.
+//! Page of a mosaic: the whole area, the consistency of its tiles at their edges, and every tile. It is made from the
+//! files in the mosaic's folder and in the folders of the tiles beside it.
 
 use super::parts::{self, SURFACE_PX, figure, gallery, keys};
 use super::{Folder, page_of, save, surface};
@@ -11,18 +11,18 @@ use maud::{Markup, html};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// Widest picture of a date, pixels.
+/// Largest width of the picture of a date, pixels.
 const DATE_PX: u32 = 480;
-/// Widest picture of a tile, pixels.
+/// Largest width of the picture of a tile, pixels.
 const TILE_PX: u32 = 260;
-/// More pictures of dates, or of tiles, than this are not shown.
+/// Most pictures of dates, and most of tiles.
 const SHOWN: usize = 40;
 /// Most rows of a table.
 const ROWS: usize = 400;
 
-/// A tile of the mosaic.
+/// Tile of the mosaic.
 struct Tile {
-    /// Its folder beside the mosaic's.
+    /// Name of its folder, which lies beside the mosaic's.
     name: String,
     /// First and one past last column and row of its core.
     core: [[u32; 2]; 2],
@@ -33,7 +33,7 @@ struct Tile {
 /// Writes `report.html` into the folder of a mosaic; returns its path.
 ///
 /// # Errors
-/// When the folder holds none, or the page cannot be written.
+/// When the folder holds no mosaic, a file cannot be read, or the page cannot be written.
 pub fn write(folder: &Path) -> Result<PathBuf, ViewError> {
     if !folder.join(MOSAIC_FILE).is_file() {
         return Err(RunError::NotARun(folder.to_owned()).into());
@@ -81,7 +81,7 @@ fn tiles(mosaic: &Folder) -> Result<Vec<Tile>, RunError> {
             .as_str()
             .and_then(|unit| unit.rsplit('/').next())
             .unwrap_or("");
-        // It becomes part of a path and of an address.
+        // The name becomes part of a path and of an address.
         if name.is_empty() || name.starts_with('.') || name.contains('\\') {
             continue;
         }
@@ -116,7 +116,7 @@ fn head(mosaic: &Folder, tiles: &[Tile], shown: Option<&Exhibit>) -> Markup {
     shown.map_or_else(|| keys(&figures), |shown| surface::head(mosaic, shown, &figures))
 }
 
-/// The borders of the tiles over the surface.
+/// Outlines of the tiles' cores, drawn over the surface.
 fn borders_of(tiles: &[Tile], shown: &Exhibit) -> Markup {
     html! {
         svg viewBox=(format_args!("0 0 {} {}", shown.altitude.width, shown.altitude.height)) preserveAspectRatio="none" {
@@ -129,7 +129,7 @@ fn borders_of(tiles: &[Tile], shown: &Exhibit) -> Markup {
     }
 }
 
-/// The shadows of every date over the albedo.
+/// Pictures of the shadows of each date over the albedo.
 fn dates(mosaic: &Folder) -> Markup {
     let dates = mosaic.list("/products/dates").iter().filter_map(Value::as_str);
     let figures = html! {
@@ -141,7 +141,7 @@ fn dates(mosaic: &Folder) -> Markup {
     gallery("Shadows by date", "grid", &figures)
 }
 
-/// Height steps at tile boundaries and elsewhere, and the differences of tiles where they overlap.
+/// Height steps at tile boundaries and elsewhere, and height differences of tiles in their overlaps.
 fn borders(mosaic: &Folder) -> Markup {
     let steps = [
         ("border", "across tile boundaries, in the mosaic"),
@@ -185,7 +185,7 @@ fn borders(mosaic: &Folder) -> Markup {
     }
 }
 
-/// The tiles, each with its own page.
+/// Table of the tiles with links to their pages, and pictures of their surfaces.
 fn table(tiles: &[Tile]) -> Markup {
     html! {
         h2 { "Tiles" }
@@ -217,7 +217,7 @@ fn table(tiles: &[Tile]) -> Markup {
     }
 }
 
-/// The surface of a tile that was trained, or swept alone.
+/// Picture of a tile's surface, trained or swept.
 fn picture(tile: &Tile) -> Option<RgbImage> {
     tile.stamp
         .picture("run/dsm.png")

@@ -1,4 +1,4 @@
-//! The page of a run on a capture of an object: held-out images, the components of its light, the course of training.
+//! Page of a run on a capture of an object: held-out images, light components, training curves.
 
 use super::parts::{self, Cost, costs_of, figure, gallery, keys, origin};
 use super::{Folder, page_of, save};
@@ -14,9 +14,9 @@ use std::path::{Path, PathBuf};
 
 /// Widest picture, pixels.
 const VIEW_PX: u32 = 420;
-/// Most held-out images that are shown beside their renderings.
+/// Most held-out images that are shown.
 const VIEWS: usize = 16;
-/// Views whose light is shown component by component.
+/// Number of views whose light components are shown.
 const PARTED: usize = 3;
 
 /// Writes `report.html` into the folder of a run on a capture; returns its path.
@@ -28,10 +28,10 @@ pub fn write(folder: &Path) -> Result<PathBuf, RunError> {
     of(folder, &model, &run)
 }
 
-/// The page of a run in memory.
+/// Writes `report.html` of a run that is in memory into `folder`; returns its path.
 ///
 /// # Errors
-/// When the page cannot be written.
+/// When the metrics are damaged, or the page cannot be written.
 pub fn of(folder: &Path, model: &ObjectModel, run: &ObjectRun) -> Result<PathBuf, RunError> {
     let measured = Folder::read(folder, "metrics.json")?;
     let sections = [
@@ -84,14 +84,14 @@ fn views(measured: &Folder, model: &ObjectModel) -> Markup {
     }
 }
 
-/// The light components and the normals of some views.
+/// Light components and normals of some views.
 fn light(model: &ObjectModel) -> Markup {
     let has = model.file.kind.parts();
     let mut parts = components(model);
     parts.retain(|(name, _)| has.contains(name));
     let of_split = |split: Split| model.file.images.iter().filter(move |image| image.split == split);
     let all: Vec<_> = of_split(Split::Test).chain(of_split(Split::Train)).collect();
-    // Spread over the held-out ones, which come first.
+    // Spread over the held-out views, which come first.
     let step = (of_split(Split::Test).count() / PARTED).max(1);
     let body = html! {
         @for image in all.iter().step_by(step).take(PARTED) {
@@ -108,7 +108,7 @@ fn light(model: &ObjectModel) -> Markup {
     section("Light components", body)
 }
 
-/// Chosen model, and the short fits that decided.
+/// Chosen model, and the short fits behind the choice.
 fn plan(run: &ObjectRun) -> Markup {
     let Some(plan) = &run.plan else { return html! {} };
     let kind = serde_json::to_value(plan.kind).unwrap_or_default();

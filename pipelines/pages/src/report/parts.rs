@@ -1,4 +1,4 @@
-//! The sections of a report, from top to bottom; most of them serve runs, objects and mosaics alike.
+//! Sections of a report, from top to bottom; many of them are shared by runs, objects and mosaics.
 
 use super::{Contents, Folder, surface};
 use crate::page::chart::{Line, lines, lines_within};
@@ -14,12 +14,12 @@ use maud::{Markup, html};
 use rayon::prelude::*;
 use serde_json::Value;
 
-/// Widest pictures of the surface and of views, pixels.
+/// Largest width of pictures of the surface and of views, pixels.
 pub(super) const SURFACE_PX: u32 = 720;
 const VIEW_PX: u32 = 420;
-/// More views than this are not shown: the page is to be sent by mail.
+/// Most views on a page, which keeps it small enough for mail.
 const VIEWS_MAX: usize = 40;
-/// The panels of a view's picture, from left to right.
+/// Panels of a view's picture, from left to right.
 const PANELS: [&str; 4] = [
     "image",
     "rendering",
@@ -27,10 +27,10 @@ const PANELS: [&str; 4] = [
     "shadow errors: blue missed, red false",
 ];
 
-/// A main number: its label, its value if it is known, digits after the point, its unit.
+/// Key figure: label, value if known, digits after the point, unit.
 pub(super) type Key<'a> = (&'a str, Option<f64>, usize, &'a str);
 
-/// The main numbers, side by side; those that are not known are left out.
+/// Key figures side by side, without unknown ones.
 pub(super) fn keys(all: &[Key]) -> Markup {
     html! {
         div.key {
@@ -43,12 +43,12 @@ pub(super) fn keys(all: &[Key]) -> Markup {
     }
 }
 
-/// Input, preset and version of a run.
+/// Line with input, preset, seed and version of a run.
 pub(super) fn origin(scene: &std::path::Path, preset: &str, seed: u64, version: &str) -> Markup {
     html! { p.faint { (scene.display().to_string()) " · preset " (preset) " · seed " (seed) " · heliosplat " (version) } }
 }
 
-/// The surface's own figures, and those that truth and the images add.
+/// Dates of the images, and the key figures of the surface and its accuracy.
 pub(super) fn head(run: &Contents, shown: Option<&Exhibit>) -> Markup {
     let measured = &run.folder;
     let protocol = measured.metrics.pointer("/dsm/protocol").and_then(Value::as_str);
@@ -79,12 +79,12 @@ pub(super) fn head(run: &Contents, shown: Option<&Exhibit>) -> Markup {
     }
 }
 
-/// A picture over its caption; nothing where there is none.
+/// Picture of at most `width` pixels width over its caption; empty without a picture.
 pub(super) fn figure(picture: Option<RgbImage>, width: u32, caption: &str) -> Markup {
     captioned(picture.and_then(|picture| inline_picture(picture, width)), caption)
 }
 
-/// A picture by its address, with a caption.
+/// Picture by its address, with a caption.
 fn captioned(address: Option<String>, caption: &str) -> Markup {
     html! {
         @if let Some(address) = address {
@@ -93,7 +93,7 @@ fn captioned(address: Option<String>, caption: &str) -> Markup {
     }
 }
 
-/// Pictures side by side under a heading; nothing where there is none.
+/// Figures side by side under a heading, in an element of CSS class `class`; empty without figures.
 pub(super) fn gallery(heading: &str, class: &str, figures: &Markup) -> Markup {
     html! {
         @if !figures.0.is_empty() {
@@ -103,7 +103,7 @@ pub(super) fn gallery(heading: &str, class: &str, figures: &Markup) -> Markup {
     }
 }
 
-/// Area of the initial surface that was lowered; empty if there is none.
+/// Number and area of the courtyards and alleys that were reopened in the initial surface; empty if there are none.
 pub(super) fn lowered(run: &Folder) -> Markup {
     let lowered = |key: &str| run.number(&format!("/lowered/{key}")).filter(|&count| count > 0.0);
     html! {
@@ -113,7 +113,7 @@ pub(super) fn lowered(run: &Folder) -> Markup {
     }
 }
 
-/// Each view beside its rendering and its shadows, date by date.
+/// Views beside their renderings and shadows, date by date.
 pub(super) fn views(run: &Contents) -> Markup {
     let mut images: Vec<_> = run.model.images.iter().collect();
     images.sort_by_key(|image| (date_of(image), image.name.clone()));
@@ -153,14 +153,14 @@ pub(super) fn views(run: &Contents) -> Markup {
     section("Images and shadows by date", body)
 }
 
-/// The panels of this width that lie side by side in a picture.
+/// Panels of this width, pixels, that lie side by side in a picture.
 fn panels(picture: &RgbImage, width: u32) -> Vec<RgbImage> {
     let count = picture.width().checked_div(width).unwrap_or(0);
     let panel = |place| crop_imm(picture, place * width, 0, width, picture.height()).to_image();
     (0..count.min(PANELS.len() as u32)).map(panel).collect()
 }
 
-/// The course of training.
+/// Training curves: height error, PSNR, differences to the images and losses by step.
 pub(super) fn curves(run: &Folder) -> Markup {
     let curve = run.list("/curve");
     let line = |name: &str, value: &dyn Fn(&Value) -> Option<f64>| Line {
@@ -194,14 +194,14 @@ pub(super) fn curves(run: &Folder) -> Markup {
     gallery("Training", "charts", &charts)
 }
 
-/// Lines that have something to join.
+/// Lines with at least two points.
 fn several_points(lines: &[Line]) -> Vec<Line> {
     lines.iter().filter(|line| line.points.len() > 1).cloned().collect()
 }
 
-/// Height errors against truth: their distribution, beside stated standard deviations, and by class.
+/// Height errors against truth: distribution, calibration plot of the standard deviations, and errors by class.
 pub(super) fn accuracy(run: &Folder, uncertainty: Option<&Uncertainty>) -> Markup {
-    // Beyond this the line would only show how rare the worst errors are.
+    // A longer axis would only show that large errors are rare.
     const WORST_M: f64 = 5.0;
     let line = |name: &str, pointer: &str| {
         let quantiles: Vec<f64> = run.list(pointer).iter().filter_map(Value::as_f64).collect();
@@ -255,7 +255,7 @@ pub(super) fn accuracy(run: &Folder, uncertainty: Option<&Uncertainty>) -> Marku
     section("Accuracy against truth", body)
 }
 
-/// The making of the model, folded away: images reproduced, the course of training, components, time and memory.
+/// Collapsed section about the model: image similarity, training curves, components, time and memory.
 pub(super) fn making(run: &Contents) -> Markup {
     let number = |pointer: &str| run.folder.number(pointer);
     html! {
@@ -293,10 +293,10 @@ fn plan(run: &Contents) -> Markup {
     }
 }
 
-/// A row of [`costs_of`]: its label, its value if it is known, its unit.
+/// Row of [`costs_of`]: label, value if known, unit.
 pub(super) type Cost<'a> = (&'a str, Option<f64>, &'a str);
 
-/// Time and memory, and the configuration.
+/// Table of time and memory, and the configuration as TOML.
 pub(super) fn costs_of(rows: &[Cost], configuration: &impl serde::Serialize) -> Markup {
     html! {
         h2 { "Time and memory" }

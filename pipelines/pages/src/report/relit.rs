@@ -1,4 +1,4 @@
-//! The section of a report about other suns: figures, and truth beside relit images.
+//! Section of a report about relighting: figures, and truth beside relit images.
 
 use super::Folder;
 use super::parts::figure;
@@ -8,18 +8,18 @@ use image::imageops::crop_imm;
 use maud::{Markup, html};
 use serde_json::Value;
 
-/// Widest pictures, pixels.
+/// Largest width of pictures, pixels.
 const PICTURE_PX: u32 = 320;
-/// More suns than this are not shown as pictures: the page is to be sent by mail.
+/// Most suns with pictures on a page, which keeps it small enough for mail.
 const PICTURES_MAX: usize = 12;
-/// The panels of a picture, from left to right.
+/// Panels of a picture, from left to right.
 const PANELS: [&str; 3] = [
     "truth",
     "relit, one gain for all suns",
     "shadow errors: blue missed, red false",
 ];
 
-/// Figures of each sun, and its pictures; nothing of a run without truth under other suns.
+/// Figures and pictures of each sun; empty for a run without truth under other suns.
 pub(super) fn relit(run: &Folder) -> Markup {
     let suns = run.list("/relit/suns");
     if suns.is_empty() {

@@ -1,4 +1,4 @@
-//! The surface on a report: its place and main figures, its maps with their scales, and its files.
+//! Surface section of a report: place, key figures, maps with their scales, and files.
 
 use super::Folder;
 use super::parts::{Key, SURFACE_PX, figure, keys};
@@ -10,20 +10,22 @@ use heliosplat_raster::preview::{UNKNOWN, hillshade, percentiles, stretched};
 use image::{Rgb, RgbImage};
 use maud::{Markup, html};
 
-/// Widest of the maps beside the one of heights, pixels.
+/// Largest width of the maps below the map of heights, pixels.
 const MAP_PX: u32 = 480;
-/// Brightness of level ground in a hillshade; it keeps the colour of its height.
+/// Brightness of level ground in a hillshade, 0 to 255; level ground keeps the colour of its height.
 const LEVEL: f64 = 0.72 * 255.0;
-/// Brightness of a slope without light, and most light of one that faces it, as shares of level ground: colours stay readable on both.
+/// Least brightness of a slope, and largest brightness of a lit slope relative to level ground: colours stay readable
+/// on both.
 const DARKEST: f64 = 0.35;
 const BRIGHTEST: f64 = 1.25;
 /// Longest scale bar, as a share of the map's width.
 const BAR_MOST: f64 = 0.4;
 
-/// Files for users, a line each: the name, or the beginning of the names of rasters, and the contents.
+/// List of files for users: on each line a file name, or a prefix of raster names, and a description.
 const FILES: &str = include_str!("files.txt");
 
-/// Place, coordinate system, extent and cells of the surface; the link to its sun; and its main figures with those of `more`.
+/// Place, coordinate reference system, extent and cells of the surface, the link to `sun.html`, and the key figures,
+/// followed by `more`.
 pub(super) fn head(folder: &Folder, shown: &Exhibit, more: &[Key]) -> Markup {
     let known = shown.altitude.values.iter().filter(|z| z.is_finite()).count();
     let share = known as f64 / shown.altitude.values.len().max(1) as f64;
@@ -57,12 +59,12 @@ pub(super) fn head(folder: &Folder, shown: &Exhibit, more: &[Key]) -> Markup {
     }
 }
 
-/// The 1st and the 99th percentile of the heights.
+/// 1st and 99th percentile of the heights, metres; 0 and 1 without known heights.
 fn heights(shown: &Exhibit) -> [f64; 2] {
     percentiles(shown.altitude.plane(0), 0.01, 0.99).map_or([0.0, 1.0], |(low, high)| [low, high].map(f64::from))
 }
 
-/// The map of heights with its scales and drawings over it, and beside it uncertainty, views, colours and errors.
+/// Map of heights with its scales, overlaid with `over`, and the maps of uncertainty, views, errors and albedo.
 pub(super) fn maps(shown: &Exhibit, over: &Markup) -> Markup {
     let shown = &*shown.reduced();
     let [low, high] = heights(shown);
@@ -84,7 +86,7 @@ pub(super) fn maps(shown: &Exhibit, over: &Markup) -> Markup {
     }
 }
 
-/// Colours by height, darker on slopes that turn away from the north-west.
+/// Colours by height `low..high`, metres, darker on slopes that face away from the north-west.
 fn relief(shown: &Exhibit, [low, high]: [f32; 2]) -> RgbImage {
     let mut picture = hillshade(&shown.altitude, shown.gsd_m);
     for (z, pixel) in shown.altitude.plane(0).iter().zip(picture.pixels_mut()) {
@@ -97,7 +99,7 @@ fn relief(shown: &Exhibit, [low, high]: [f32; 2]) -> RgbImage {
     picture
 }
 
-/// A layer in the colours of its ramp over its scale.
+/// Map of a layer in the colours of its ramp, over its scale.
 fn of_layer(layer: &Layer) -> Markup {
     let [low, high] = layer.range;
     let colours = if layer.ramp == Ramp::Diverging {
@@ -130,7 +132,7 @@ fn plain_signed(value: f32) -> String {
     format!("{sign}{}", plain(f64::from(value.abs())))
 }
 
-/// The colours from low to high over the values of both ends.
+/// Colour scale with labels at both ends.
 fn scale(colours: &[&str], [low, high]: [String; 2]) -> Markup {
     html! {
         div.scale style={ "background:linear-gradient(to right," (colours.join(",")) ")" } {}
@@ -138,7 +140,7 @@ fn scale(colours: &[&str], [low, high]: [String; 2]) -> Markup {
     }
 }
 
-/// A bar of a round length.
+/// Scale bar of a round length.
 fn bar(shown: &Exhibit) -> Markup {
     let width_m = shown.altitude.width as f64 * shown.gsd_m;
     let most_m = BAR_MOST * width_m;
@@ -152,7 +154,7 @@ fn bar(shown: &Exhibit) -> Markup {
     html! { div.bar style={ "width:" (share) "%" } { (plain(length_m)) " m" } }
 }
 
-/// The files of the folder and of `products` in it that are for a user, each with its meaning.
+/// Table of the files for users in the folder and in its `products` folder, each with a description.
 pub(super) fn files(folder: &Folder) -> Markup {
     let mut rows = Vec::new();
     for within in ["", "products/"] {

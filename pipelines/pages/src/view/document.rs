@@ -1,4 +1,4 @@
-//! The page itself: data as JSON, controls as HTML, and scripts, in one file without network.
+//! HTML document of the page: data as JSON, controls as HTML, and scripts, in one file without network access.
 
 use super::ViewError;
 use super::exhibit::{Exhibit, TracedDate};
@@ -13,10 +13,10 @@ use serde_json::{Value, json};
 
 /// Content security policy: the page may run its own script and show its own pictures, without any network access.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:";
-/// Most bytes of what a page carries; its own sources are some seventy thousand more.
+/// Largest size of the data of a page, bytes; its sources add some seventy thousand.
 const BYTES_MAX: usize = 3_900_000;
 const STYLE: &str = include_str!("page/style.css");
-/// The sources of the page, in the order in which they are joined. The first four need no browser.
+/// Sources of the page, in the order in which they are joined. The first four run without a browser.
 const SCRIPTS: [&str; 19] = [
     include_str!("page/sun.js"),
     include_str!("page/sweep.js"),
@@ -39,17 +39,18 @@ const SCRIPTS: [&str; 19] = [
     include_str!("page/main.js"),
 ];
 
-/// The page of what is to be shown. Where it would carry more than [`BYTES_MAX`], it does without the last images, then maps, then masks.
+/// HTML text of the page of an exhibit. If its data exceed [`BYTES_MAX`], the last images are left out, then maps, then
+/// shadow masks.
 ///
 /// # Errors
-/// When no height is known, or the grid lies outside its coordinate system.
+/// When no height is known, or the grid lies outside its coordinate reference system.
 pub(super) fn page(exhibit: &Exhibit) -> Result<String, ViewError> {
     let mut data = data(exhibit)?;
     while data.to_string().len() > BYTES_MAX && drop_one(&mut data) {}
     Ok(document(exhibit, &data))
 }
 
-/// Takes away what is missed least; whether there was something.
+/// Removes the least important layer or mask; returns false if none is left.
 fn drop_one(data: &mut Value) -> bool {
     if let Some(layers) = data["layers"].as_array_mut() {
         let picture = layers.iter().rposition(|layer| layer.get("picture").is_some());
@@ -64,7 +65,7 @@ fn drop_one(data: &mut Value) -> bool {
 }
 
 fn document(exhibit: &Exhibit, data: &Value) -> String {
-    // A name may hold what would end the script.
+    // A name may contain `</script>`.
     let data = data.to_string().replace('<', "\\u003c");
     let script = format!("(() => {{\n\"use strict\";\n{}\n}})();", SCRIPTS.join("\n"));
     let page = html! {
@@ -197,7 +198,7 @@ fn stage(exhibit: &Exhibit) -> Markup {
     }
 }
 
-/// The controls.
+/// Panel of controls.
 fn panel(exhibit: &Exhibit) -> Markup {
     let has_dates = !exhibit.dates.is_empty();
     html! {

@@ -10,11 +10,11 @@ use heliosplat_scene::BandKind;
 use serde::Serialize;
 use std::borrow::Cow;
 
-/// Most cells of a page.
+/// Largest number of cells of a page.
 pub(super) const CELLS_MAX: usize = 1024 * 1024;
-/// Skylight where no model says one: a clear sky gives a fifth to a third of the light of a high sun.
+/// Share of skylight without a model: a clear sky gives a fifth to a third of the light of a high sun.
 const SKYLIGHT: f32 = 0.25;
-/// Elevations of the sun at which a page has the light of day, degrees; close together where air mass changes fast.
+/// Elevations of the sun at which daylight is tabulated, degrees; denser at low suns, where air mass changes fast.
 const ELEVATIONS_DEG: [f64; 12] = [1.0, 3.0, 5.0, 8.0, 12.0, 17.0, 24.0, 32.0, 42.0, 55.0, 70.0, 90.0];
 
 /// Content of a page. All rasters have the size of the grid.
@@ -24,7 +24,7 @@ pub struct Exhibit {
     pub title: String,
     /// Grid of the cells.
     pub grid: GridSpec,
-    /// Metres per cell.
+    /// Width of a cell, metres.
     pub gsd_m: f64,
     /// Altitudes, metres; NaN where unknown.
     pub altitude: Raster,
@@ -32,43 +32,44 @@ pub struct Exhibit {
     pub vertical_datum: String,
     /// Albedo, one band or red, green and blue, linear; NaN where unknown.
     pub albedo: Option<Raster>,
-    /// The light.
+    /// Light by the elevation of the sun.
     pub light: LightTable,
-    /// True if the albedo holds the shadows of the images, whose suns were unknown.
+    /// True if the albedo still contains the shadows of the images, because their suns were unknown.
     pub old_shadows: bool,
-    /// The dates of the images.
+    /// Dates of the images.
     pub dates: Vec<TracedDate>,
-    /// Other maps.
+    /// Further maps.
     pub layers: Vec<Layer>,
 }
 
-/// A date of a run, its sun, and the shadows that the model has for it.
+/// Date of a run or mosaic with its sun and traced shadows.
 #[derive(Debug, Clone)]
 pub struct TracedDate {
-    /// Its name.
+    /// Name: the day, such as `2016-05-01`, or the direction of the sun if the time is unknown.
     pub name: String,
-    /// When its image was taken, where that is known.
+    /// Time of an image of the date, if known.
     pub time: Option<jiff::Timestamp>,
-    /// Its sun.
+    /// Direction of the sun.
     pub sun: SunPosition,
-    /// Shadows traced through the model: 1 in shadow, 0 in the sun, NaN where unknown; `None` where there are none.
+    /// Shadows traced through the model: 1 in shadow, 0 in the sun, NaN where unknown; `None` if not traced.
     pub shadows: Option<Raster>,
 }
 
-/// Light by the elevation of the sun: a surface has the colour `albedo * (shade + sun * visible)`, with the share `visible` of the sun's disc
-/// that it sees. Between the elevations of the table light is linear, beyond its ends constant.
+/// Light by the elevation of the sun. A surface has the colour `albedo * (shade + sun * visibility)`, with the visible
+/// share `visibility` of the sun's disc. Light is interpolated linearly between the elevations, and constant beyond.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LightTable {
     /// Elevations of the sun, degrees, rising; at least one.
     pub elevation_deg: Vec<f64>,
-    /// Light of the whole sun, per band shown.
+    /// Light of the unoccluded sun, for each elevation and band shown.
     pub sun: Vec<[f32; 3]>,
-    /// Light in shadow, per band shown.
+    /// Light in shadow, for each elevation and band shown.
     pub shade: Vec<[f32; 3]>,
 }
 
 impl LightTable {
-    /// Skylight of this share of the light of the open sun, the same under every sun: `L = S + (1 - S) sky`, as the model has it.
+    /// Light `L = S + (1 - S) sky` of the model at every elevation, with visibility `S`; `sky` is the share of skylight
+    /// in full light, per band, 0 to 1.
     pub fn of_sky(sky: [f32; 3]) -> Self {
         Self {
             elevation_deg: vec![90.0],
@@ -77,12 +78,12 @@ impl LightTable {
         }
     }
 
-    /// Light where no model says any.
+    /// Light without a model: a quarter of skylight.
     pub fn usual() -> Self {
         Self::of_sky([SKYLIGHT; 3])
     }
 
-    /// The light of day of a model on the bands that are shown, beside that of its reference image.
+    /// Daylight of a model in the bands that are shown, relative to the light of its reference image.
     fn of_daylight(daylight: &Daylight, bands: [usize; 3]) -> Self {
         let elevation_deg: Vec<f64> = ELEVATIONS_DEG.to_vec();
         let at = |light: &dyn Fn(usize, f64) -> f64| {
@@ -96,7 +97,8 @@ impl LightTable {
         }
     }
 
-    /// The light of a model: that of day where it knows one; else that of its reference image, whose sky per band of the reference image is `sky`.
+    /// Light of a model: its daylight if fitted, else the light of its reference image with the skylight `sky` per
+    /// band; [`Self::usual`] for a model without light.
     pub fn of_model(file: &ModelFile, sky: &[f32]) -> Self {
         if !file.has_light() {
             return Self::usual();
@@ -109,7 +111,8 @@ impl LightTable {
     }
 }
 
-/// The bands that are shown as red, green and blue: those, or the first three, or the first alone.
+/// Indices of the bands that are shown as red, green and blue: the bands of these kinds, or the first three, or the
+/// first for all.
 pub(super) fn shown(bands: &[BandKind]) -> [usize; 3] {
     let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
     match (place(BandKind::Red), place(BandKind::Green), place(BandKind::Blue)) {
@@ -119,7 +122,7 @@ pub(super) fn shown(bands: &[BandKind]) -> [usize; 3] {
     }
 }
 
-/// The bands of a raster that are shown, as three planes.
+/// Raster of the three bands that are shown.
 pub(super) fn coloured(raster: &Raster, bands: [usize; 3]) -> Raster {
     Raster {
         width: raster.width,
@@ -130,7 +133,7 @@ pub(super) fn coloured(raster: &Raster, bands: [usize; 3]) -> Raster {
 }
 
 impl Exhibit {
-    /// The exhibit with cells averaged until there are at most 1024².
+    /// Exhibit with blocks of cells averaged, so that at most 1024² remain.
     #[must_use]
     pub fn reduced(&self) -> Cow<'_, Self> {
         let cells = self.grid.width * self.grid.height;
@@ -140,7 +143,7 @@ impl Exhibit {
         }
         let smaller = |raster: &Raster| averaged(raster, factor);
         let altitude = smaller(&self.altitude);
-        // A coarse cell's middle lies between those of the cells that it replaces.
+        // The centre of a coarse cell is the mean of the centres of the cells that it replaces.
         let mut grid = self.grid.part((0, 0), (altitude.width, altitude.height));
         let middle = (factor - 1) as f64 / 2.0;
         grid.transform.origin = self.grid.transform.map_from_pixel(middle, middle);
@@ -172,7 +175,7 @@ impl Exhibit {
     }
 }
 
-/// Means of what is known in blocks of `factor` x `factor` cells; NaN where nothing is.
+/// Means of the known values in blocks of `factor` x `factor` cells; NaN for blocks without any.
 pub(super) fn averaged(raster: &Raster, factor: usize) -> Raster {
     let (width, height) = (raster.width.div_ceil(factor), raster.height.div_ceil(factor));
     let mut out = Raster::filled(width, height, raster.bands, f32::NAN);

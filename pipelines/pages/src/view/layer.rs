@@ -1,4 +1,4 @@
-//! Maps of a page besides its surface and albedo.
+//! Maps of a page other than its surface and albedo.
 
 use heliosplat::Raster;
 
@@ -14,7 +14,7 @@ pub enum Ramp {
 }
 
 impl Ramp {
-    /// Its name in the page.
+    /// Name in the data of the page.
     pub fn name(self) -> &'static str {
         match self {
             Self::Diverging => "diverging",
@@ -24,25 +24,25 @@ impl Ramp {
     }
 }
 
-/// A map on the page's grid.
+/// Map or picture on the page's grid.
 #[derive(Debug, Clone)]
 pub struct Layer {
-    /// Its key in the page.
+    /// Key in the data of the page.
     pub id: String,
-    /// Its name for people.
+    /// Name shown to the user.
     pub name: String,
-    /// The unit of its values; empty for a picture.
+    /// Unit of the values; empty for counts and pictures.
     pub unit: &'static str,
-    /// Its colours.
+    /// Colour ramp.
     pub ramp: Ramp,
     /// Values at the two ends of the ramp.
     pub range: [f32; 2],
-    /// Its values; NaN where unknown.
+    /// One band, or red, green and blue of a picture; NaN where unknown.
     pub values: Raster,
 }
 
 impl Layer {
-    /// A map of one value per cell.
+    /// Map of one value per cell, metres.
     pub fn map(id: &str, name: &str, (ramp, range): (Ramp, [f32; 2]), values: Raster) -> Self {
         Self {
             id: id.into(),
@@ -54,7 +54,7 @@ impl Layer {
         }
     }
 
-    /// A picture with red, green and blue.
+    /// Picture with red, green and blue, 0 to 255.
     pub fn picture(id: &str, name: &str, values: Raster) -> Self {
         Self {
             id: id.into(),

@@ -1,4 +1,4 @@
-//! Content of the page of a surface model in a file, whatever its source.
+//! Content of the page of a surface model in a file of any source.
 
 use super::ViewError;
 use super::exhibit::{Exhibit, LightTable, coloured, shown};
@@ -8,10 +8,10 @@ use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, dsm_bands};
 use heliosplat_scene::BandKind;
 use std::path::Path;
 
-/// Gathers what the page of a surface model and, if there is one, an albedo or another ortho image shows.
+/// Gathers the content of the page of a surface model, with an albedo or another ortho image if given.
 ///
 /// # Errors
-/// When a file cannot be read, or says no coordinate system.
+/// When a file cannot be read, no height is known, or the surface model has no coordinate reference system.
 pub fn of_files(dsm: &Path, albedo: Option<&Path>) -> Result<Exhibit, ViewError> {
     let mut exhibit = surface(dsm)?;
     if let Some(path) = albedo {
@@ -20,10 +20,10 @@ pub fn of_files(dsm: &Path, albedo: Option<&Path>) -> Result<Exhibit, ViewError>
     Ok(exhibit)
 }
 
-/// The surface of a file, without albedo and dates.
+/// Exhibit of the surface in a file, without albedo and dates.
 ///
 /// # Errors
-/// When the file cannot be read, or says no coordinate system.
+/// When the file cannot be read, no height is known, or it has no coordinate reference system.
 pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
     let file = GeoRaster::read_heights(path)?;
     let crs = file.crs.clone().ok_or_else(|| ViewError::NoCrs(path.to_owned()))?;
@@ -62,10 +62,10 @@ pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
     })
 }
 
-/// Red, green and blue of an albedo on a grid.
+/// Red, green and blue of an albedo file, resampled onto a grid.
 ///
 /// # Errors
-/// When the file cannot be read or brought onto the grid.
+/// When the file cannot be read or resampled.
 pub(super) fn albedo_on(path: &Path, grid: &GridSpec) -> Result<Raster, ViewError> {
     let file = GeoRaster::read(path)?;
     let kinds: Vec<BandKind> = file.band_names.iter().map(|name| kind(name)).collect();
@@ -83,17 +83,17 @@ pub(super) fn albedo_on(path: &Path, grid: &GridSpec) -> Result<Raster, ViewErro
     Ok(coloured(&three, [0, 1, 2]))
 }
 
-/// The band that bears this name.
+/// Kind of the band with this name; `Other` for unknown names.
 fn kind(name: &str) -> BandKind {
     let all = [BandKind::Red, BandKind::Green, BandKind::Blue, BandKind::NearInfrared];
     let found = all.into_iter().find(|kind| kind.name() == name);
     found.unwrap_or(BandKind::Other)
 }
 
-/// A band of a raster on a grid, bilinear.
+/// Band `band` (from 0) of a raster, resampled bilinearly onto a grid.
 ///
 /// # Errors
-/// When a coordinate system cannot be used.
+/// When a coordinate reference system cannot be used.
 pub(super) fn on_grid(source: &GeoRaster, band: usize, grid: &GridSpec) -> Result<Raster, ViewError> {
     let target = GeoRaster {
         raster: Raster {

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 /// Prefix of the shadow masks of dates: `shadow_DATE.tif`.
 const SHADOWS: &str = "shadow_";
 
-/// Gathers what the page of a mosaic shows. `run` is a run of one of its tiles, whose light counts; where it is not said, the first
-/// tile's is looked for beside the folder.
+/// Gathers the content of the page of a mosaic. The light is that of `run`, the run of a tile; without it, that of the
+/// first tile's run, found beside the folder.
 ///
 /// # Errors
 /// When a file of the folder cannot be read.
@@ -35,7 +35,7 @@ pub fn of_mosaic(folder: &Path, run: Option<&Path>) -> Result<Exhibit, ViewError
     Ok(exhibit)
 }
 
-/// Area and images: the folders that a mosaic's lies in.
+/// Name of the area: the third folder above the mosaic's.
 fn title(folder: &Path) -> String {
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     let area = whole.ancestors().nth(3).and_then(Path::file_name);
@@ -50,7 +50,7 @@ fn first_run(folder: &Path) -> Option<PathBuf> {
     Some(folder.join("..").join(name).join("run"))
 }
 
-/// The light of a tile's model; `None` where it is gone.
+/// Light of a tile's model; `None` if its file cannot be read.
 fn light(run: &Path) -> Option<LightTable> {
     let file = load_file(run).ok()?;
     let (bands, reference) = (file.options.bands, file.options.reference);
@@ -60,7 +60,7 @@ fn light(run: &Path) -> Option<LightTable> {
     Some(LightTable::of_model(&file, &sky))
 }
 
-/// The dates whose shadow masks lie in the folder.
+/// Dates with shadow masks in the folder.
 fn dates(folder: &Path, exhibit: &Exhibit) -> Result<Vec<TracedDate>, ViewError> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries

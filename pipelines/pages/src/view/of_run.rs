@@ -18,16 +18,16 @@ use heliosplat_raster::{GeoRaster, dsm_bands};
 use heliosplat_satellite::run_file::load_run;
 use std::path::Path;
 
-/// Most dates whose shadows are traced, and most images that are shown: evenly chosen, so that the page stays small.
+/// Most dates whose shadows are traced, and most images that are shown; a longer list is sampled evenly.
 const DATES_MAX: usize = 12;
 const IMAGES_MAX: usize = 3;
-/// The map of height errors in a run's or mosaic's folder, and the one of changes among the products.
+/// File of the height errors in the folder of a run or mosaic, and possible files of the changes.
 const ERRORS: &str = "error.tif";
 const CHANGES: [&str; 2] = ["change.tif", "products/change.tif"];
-/// Errors at the ends of the ramp, metres: those of `error.png`.
+/// Errors at the ends of the colour ramp, metres, as in `error.png`.
 const ERROR_M: f32 = heliosplat_evaluate::error_map::FULL_COLOUR_M;
 
-/// Gathers what the page of a run shows.
+/// Gathers the content of the page of a run.
 ///
 /// # Errors
 /// When the folder holds no satellite run, or a file of it cannot be read.
@@ -54,17 +54,17 @@ pub fn of_run(folder: &Path) -> Result<Exhibit, ViewError> {
     Ok(exhibit)
 }
 
-/// The name of the run's scene, or of its folder.
+/// Name of the run's scene, or of its folder.
 fn title(folder: &Path) -> String {
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     let scene = load_run(folder).map(|run| run.scene).unwrap_or(whole);
     let names: Vec<_> = scene.ancestors().filter_map(Path::file_stem).take(2).collect();
-    // A folder or file called `scene` names nothing; the folder around it does.
+    // `scene` is a generic name; the folder around it is specific.
     let name = names.iter().find(|name| **name != "scene").or(names.first());
     name.map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// The dates of the model with the shadows of each.
+/// Dates of the model with their traced shadows.
 fn traced(model: &LoadedModel, nadir: &NadirGrid) -> Result<Vec<TracedDate>, ViewError> {
     let mut out = Vec::new();
     let above = Viewpoint::above(model, nadir);
@@ -84,7 +84,7 @@ fn traced(model: &LoadedModel, nadir: &NadirGrid) -> Result<Vec<TracedDate>, Vie
     Ok(out)
 }
 
-/// Some of the run's images on the grid.
+/// Evenly sampled training images of the run, projected onto the grid.
 fn images(model: &LoadedModel, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
     let mut out = Vec::new();
     let trained: Vec<_> = model
@@ -107,7 +107,7 @@ fn images(model: &LoadedModel, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewErro
     Ok(out)
 }
 
-/// Standard deviation, number of images, errors and changes, as far as there are files of them in the folder.
+/// Maps of standard deviation, number of images, height errors and changes that exist in the folder.
 ///
 /// # Errors
 /// When one of the files is damaged.
@@ -131,10 +131,10 @@ pub(super) fn maps(folder: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewE
     Ok(out)
 }
 
-/// Standard deviation and number of images of a surface model, as far as there are files of them beside it.
+/// Maps of the standard deviation (metres) and the number of images of a surface model, if it has them.
 ///
 /// # Errors
-/// When one of the files is damaged.
+/// When a file is damaged.
 pub(crate) fn companions(dsm: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
     let mut out = Vec::new();
     let surface = GeoRaster::read_surface(dsm)?;

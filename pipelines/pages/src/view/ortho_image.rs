@@ -1,4 +1,4 @@
-//! An image of a run on the page's grid: the picture of it in the run's `views` folder, projected onto the surface.
+//! Image of a run on the page's grid: its picture in the run's `views` folder, projected onto the surface.
 
 use heliosplat::Raster;
 use heliosplat_products::model::{LoadedModel, ModelImage};
@@ -7,14 +7,14 @@ use heliosplat_raster::{EnuGrid, GridSpec, RasterError};
 use image::RgbImage;
 use rayon::prelude::*;
 
-/// A cell is hidden where something this much nearer to the camera falls on the same pixel, metres along the ray.
+/// A cell is occluded if another cell on the same pixel is nearer to the camera by more than this depth, metres.
 const HIDDEN_M: f32 = 1.5;
 
-/// Red, green and blue of `picture`, whose left part shows what `image`'s camera sees, on the cells of `grid`; NaN where the surface is
-/// unknown, outside the image, or hidden in it.
+/// Red, green and blue, 0 to 255, on the cells of `grid`, interpolated bilinearly in the left panel of `picture`, which
+/// shows `image`. NaN where the surface is unknown, outside the image, or occluded in it.
 ///
 /// # Errors
-/// When the grid lies outside its coordinate system.
+/// When the grid lies outside its coordinate reference system.
 pub(super) fn project(
     model: &LoadedModel,
     image: &ModelImage,
@@ -25,7 +25,7 @@ pub(super) fn project(
     let camera = camera_of(image);
     let (width, height) = (camera.width, camera.height);
     let cells = grid.width * grid.height;
-    // Where each cell falls, and how far from the camera.
+    // Column, row and depth (metres) of each cell in the image.
     let seen: Vec<Option<([f32; 2], f32)>> = (0..cells)
         .into_par_iter()
         .with_min_len(1024)

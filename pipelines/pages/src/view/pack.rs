@@ -1,11 +1,14 @@
 //! Rasters as compact text in a page, read by `page/field.js`.
 //!
-//! * Heights: whole steps above the lowest (a centimetre, more where the relief would not fit into 16 bits). Each is predicted from its
-//!   neighbours left, above and above left (the median edge detector of JPEG-LS, ISO 14495-1), what is left is folded to positive
-//!   numbers (0, -1, 1, -2 ...), its low bytes and then its high bytes are deflated (zlib).
-//! * Masks: a bit per cell, the highest of a byte first, deflated.
-//! * Maps: a byte per cell, 0 unknown, 1 to 255 over their range, deflated.
+//! * Heights: whole steps above the lowest (a centimetre, more if the relief would not fit into 16 bits). Each is
+//!   predicted from its left, upper and upper-left neighbours (median edge detector of JPEG-LS, ISO 14495-1). The
+//!   residuals are mapped to unsigned numbers (0, -1, 1, -2 ...); all low bytes, then all high bytes are deflated
+//!   (zlib).
+//! * Masks: a bit per cell, most significant bit first, deflated.
+//! * Maps: a byte per cell, 0 unknown, 1 to 255 over the range, deflated.
 //! * Pictures: JPEG; the albedo with gamma 2.2.
+//!
+//! Deflated data are written in base64.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -20,35 +23,35 @@ use std::io::Write;
 
 /// Finest step of heights, metres.
 const STEP_M: f32 = 0.01;
-/// Quality of the albedo's picture, and that of other pictures, which are looked at now and then.
+/// JPEG quality of the albedo, and of other pictures, which are viewed less often.
 const QUALITY: u8 = 86;
 const PLAIN_QUALITY: u8 = 70;
-/// Shades of a map: more cannot be told apart, and fewer are smaller.
+/// Number of shade steps of a map: finer steps are not distinguishable, and fewer compress better.
 const SHADES: f32 = 50.0;
 /// Gamma of the albedo's picture.
 pub(super) const GAMMA: f32 = 2.2;
 
-/// Packed heights.
+/// Packed heights, as the module head describes them.
 #[derive(Debug, Serialize)]
 pub(super) struct Heights {
     /// Altitude of step 0, metres.
     pub low_m: f32,
     /// Metres per step.
     pub step_m: f32,
-    /// The steps.
+    /// Steps of all cells, row by row.
     pub data: String,
     /// Mask of the known cells.
     pub known: String,
 }
 
 fn deflated(bytes: &[u8]) -> String {
-    // A Vec takes everything.
+    // Writing to a Vec cannot fail.
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
     let _ = encoder.write_all(bytes);
     STANDARD.encode(encoder.finish().unwrap_or_default())
 }
 
-/// Heights of a raster's first band; `None` where none is known.
+/// Packs the heights of a raster's first band, metres; `None` if none is known.
 pub(super) fn heights(altitude: &Raster) -> Option<Heights> {
     let plane = altitude.plane(0);
     let known = || plane.iter().copied().filter(|z| z.is_finite());
@@ -73,7 +76,7 @@ pub(super) fn heights(altitude: &Raster) -> Option<Heights> {
     })
 }
 
-/// Whole steps; an unknown cell has those of the cell before it, which cost nothing.
+/// Heights in whole steps; an unknown cell repeats the cell before it, which compresses well.
 fn steps(altitude: &Raster, low_m: f32, step_m: f32) -> Vec<u16> {
     let mut before = 0;
     let step = |z: &f32| {
@@ -99,14 +102,14 @@ fn predicted(steps: &[u16], width: usize, i: usize) -> u16 {
             } else if corner <= low {
                 high
             } else {
-                // Between the two, so is the sum.
+                // The corner lies between the two, and so does the sum.
                 (i32::from(left) + i32::from(above) - i32::from(corner)) as u16
             }
         }
     }
 }
 
-/// A bit per cell.
+/// Packs a mask with a bit per cell.
 pub(super) fn mask(cells: impl Iterator<Item = bool>) -> String {
     let mut bytes = Vec::new();
     for (i, set) in cells.enumerate() {
@@ -120,7 +123,7 @@ pub(super) fn mask(cells: impl Iterator<Item = bool>) -> String {
     deflated(&bytes)
 }
 
-/// A byte per cell of a raster's first band over a range.
+/// Packs a raster's first band over a range, with a byte per cell; values beyond the range are clamped.
 pub(super) fn map(values: &Raster, [low, high]: [f32; 2]) -> String {
     let span = (high - low).max(f32::MIN_POSITIVE);
     let byte = |value: &f32| match value.is_finite() {
@@ -133,19 +136,19 @@ pub(super) fn map(values: &Raster, [low, high]: [f32; 2]) -> String {
     deflated(&values.plane(0).iter().map(byte).collect::<Vec<u8>>())
 }
 
-/// A packed albedo.
+/// Packed albedo.
 #[derive(Debug, Serialize)]
 pub(super) struct Albedo {
-    /// The picture: `(albedo / white)^(1 / 2.2)`.
+    /// `data:` address of the JPEG of `(albedo / white)^(1 / 2.2)`.
     pub picture: String,
-    /// Albedo of its brightest value.
+    /// Albedo of the brightest value of the picture.
     pub white: f32,
-    /// Colours of this brightness and below are shown black, as multiples of `white`.
+    /// Largest brightness that is shown black, as a share of `white`, 0 to 0.5.
     pub black: f32,
 }
 
-/// A raster with red, green and blue as an albedo; `None` where nothing is known. `shade` is the darkest light: what lies
-/// in the darkest hundredth under it is black.
+/// Packs a raster with red, green and blue as an albedo; `None` if nothing is known. The black point is 0.7 of the 1st
+/// percentile of the albedo under the darkest light, `shade`.
 pub(super) fn albedo(raster: &Raster, shade: f32) -> Option<Albedo> {
     let (low, white) = percentiles(&raster.values, 0.01, 0.995)?;
     if white <= 0.0 {
@@ -161,12 +164,13 @@ pub(super) fn albedo(raster: &Raster, shade: f32) -> Option<Albedo> {
     })
 }
 
-/// A raster with red, green and blue from 0 to 255 as the address of a JPEG.
+/// Encodes a raster with red, green and blue, 0 to 255, as a JPEG in a `data:` address.
 pub(super) fn plain_picture(raster: &Raster) -> Option<String> {
     picture(raster, PLAIN_QUALITY, |value| value)
 }
 
-/// A raster as the address of a JPEG: `shade` makes 0 to 255 of a value. What is unknown has the colour before it.
+/// Encodes a raster as a JPEG in a `data:` address; `shade` maps values to 0..255. Unknown pixels repeat the pixel
+/// before them.
 fn picture(raster: &Raster, quality: u8, shade: impl Fn(f32) -> f32) -> Option<String> {
     let mut before = Rgb([0; 3]);
     let picture = RgbImage::from_fn(raster.width as u32, raster.height as u32, |col, row| {

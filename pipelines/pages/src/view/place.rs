@@ -1,15 +1,15 @@
 //! Place of a page's cells on the map and on the Earth, and the direction of the sun across cells.
 //!
-//! The sun's azimuth counts from true north. The columns of a projected grid point to grid north, which differs by the meridian
-//! convergence, up to some degrees in UTM. So the page gets the change of column and row per metre to the true east and north, which
-//! holds convergence, scale and cells of degrees alike.
+//! The azimuth of the sun counts from true north. The columns of a projected grid point to grid north, which differs by
+//! the meridian convergence, up to some degrees in UTM. The page therefore gets the change of column and row per metre
+//! to the true east and north, which contains convergence, scale and cells in degrees.
 
 use heliosplat_raster::{CrsTransform, GridSpec, RasterError};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 use nalgebra::Vector3;
 use serde::Serialize;
 
-/// Metres over which the direction of north is measured.
+/// Half of the base length over which the directions east and north are measured, metres.
 const STEP_M: f64 = 10.0;
 
 /// Place of a grid on the Earth.
@@ -25,13 +25,13 @@ pub(crate) struct GridLocation {
     pub north: [f64; 2],
     /// Clockwise angle from grid north to true north, degrees.
     pub true_north_deg: f64,
-    /// Longitude and latitude at the outer edges' thirds: 3 x 3 nodes, row by row from the north-west corner. Between them the page
-    /// interpolates by quadratics.
+    /// Longitude and latitude at 3 x 3 nodes (outer edges and middle of the grid), degrees, row by row from the
+    /// north-west corner. The page interpolates between them by quadratics.
     pub nodes: Vec<[f64; 2]>,
 }
 
 impl GridLocation {
-    /// The place of a grid, at an ellipsoidal height.
+    /// Computes the place of a grid at an ellipsoidal height in metres.
     ///
     /// # Errors
     /// When the grid lies outside its coordinate system.
@@ -66,7 +66,7 @@ impl GridLocation {
         for fraction_down in [0.0, 0.5, 1.0] {
             for fraction_right in [0.0, 0.5, 1.0] {
                 let (lon, lat) = lon_lat(fraction_right * width - 0.5, fraction_down * height - 0.5)?;
-                // A grid across the antimeridian goes on beyond 180 degrees.
+                // Longitudes of a grid across the antimeridian continue beyond 180 degrees.
                 nodes.push([lon_deg + (lon - lon_deg + 180.0).rem_euclid(360.0) - 180.0, lat]);
             }
         }
@@ -97,8 +97,9 @@ mod tests {
 
     #[test]
     fn true_north_is_turned_against_the_grid_by_the_meridian_convergence() {
-        // Gauss-Krueger: tan(convergence) = tan(lon - central meridian) sin(lat) on the sphere, to a thousandth of a degree on the ellipsoid
-        // (Snyder, Map Projections, eq. 8-1 ff.). Grid north lies east of true north where the place does.
+        // Gauss-Krueger: tan(convergence) = tan(lon - central meridian) sin(lat) on the sphere, to a thousandth of a
+        // degree on the ellipsoid (Snyder, Map Projections, eq. 8-1 ff.). Grid north lies east of true north in the
+        // eastern half of a zone, on the northern hemisphere.
         for (lon_deg, lat_deg, epsg, central_deg) in [
             (36.9, 37.6, 32637, 39.0f64),
             (29.95, 60.0, 32635, 27.0),
@@ -115,7 +116,7 @@ mod tests {
                 "{} and {convergence_deg}",
                 place.true_north_deg
             );
-            // Columns go right and rows down by the same angle.
+            // Directions in pixels and on the map have one angle.
             let [right, down] = place.north;
             let of_pixels_deg = right.atan2(-down).to_degrees();
             assert!((of_pixels_deg - place.true_north_deg).abs() < 1e-6);

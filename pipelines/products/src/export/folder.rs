@@ -1,7 +1,7 @@
 //! A folder of tiles: earlier tiles of ours are replaced, and nothing else in the folder.
 //!
-//! Tiles are written beside the old ones first. While they are moved into place, `tileset.json` is one without a tile that lists by name what is
-//! ours: an export that was killed shows nothing, and the next one replaces it.
+//! New tiles are written beside the old ones first. While they are moved into place, `tileset.json` has no tile and
+//! lists the names of our files: after an export that was killed viewers show nothing, and the next export replaces it.
 
 use super::TILESET;
 use heliosplat_exchange::tiles::GENERATOR;
@@ -12,14 +12,14 @@ use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Key of a tileset that is being replaced: names of its files.
+/// Key of a tileset that is being replaced: the names of its files.
 const UNFINISHED: &str = "unfinished";
 
-/// Lets `fill` write `tileset.json` and its tiles into a temporary folder; then they take the place of the earlier tiles in `folder`, which is
-/// made where it is absent.
+/// Runs `fill`, which writes `tileset.json` and its tiles into a temporary folder, and moves them into `folder` in
+/// place of the earlier tiles; `folder` is created where it is absent.
 ///
 /// # Errors
-/// Errors of `fill`, and [`RasterError`] where something else stands in the folder, or it cannot be written.
+/// Errors of `fill`, and [`RasterError`] where the folder holds other files or cannot be written.
 pub(super) fn replace<T, E: From<RasterError>>(
     folder: &Path,
     fill: impl FnOnce(&Path) -> Result<T, E>,
@@ -27,7 +27,7 @@ pub(super) fn replace<T, E: From<RasterError>>(
     let made = !folder.exists();
     let replaced = replace_in(folder, fill);
     if made && replaced.is_err() {
-        // Only while it is empty.
+        // The folder is removed only if it is empty.
         let _ = std::fs::remove_dir(folder);
     }
     replaced
@@ -44,7 +44,7 @@ fn replace_in<T, E: From<RasterError>>(folder: &Path, fill: impl FnOnce(&Path) -
     Ok(filled)
 }
 
-/// Moves what lies in `from` into `folder`, whose earlier tiles have the names `old`.
+/// Moves the files in `from` into `folder`, whose earlier tiles have the names `old`.
 fn put(folder: &Path, old: &BTreeSet<String>, from: &Path) -> Result<(), RasterError> {
     let failed = |error: std::io::Error| RasterError::from_io(folder, &error);
     let entries = std::fs::read_dir(from).map_err(failed)?;
@@ -66,7 +66,7 @@ fn put(folder: &Path, old: &BTreeSet<String>, from: &Path) -> Result<(), RasterE
     Ok(())
 }
 
-/// The names of the tiles in a folder; none where there is nothing but `new`.
+/// Names of the earlier tiles in a folder; none where it holds nothing but `new`.
 fn ours(folder: &Path, new: &Path) -> Result<BTreeSet<String>, RasterError> {
     let entries = std::fs::read_dir(folder).map_err(|error| RasterError::from_io(folder, &error))?;
     let mut others = entries
@@ -83,7 +83,7 @@ fn ours(folder: &Path, new: &Path) -> Result<BTreeSet<String>, RasterError> {
     }
 }
 
-/// The names of plain files that a tileset lists.
+/// Names of the plain files that a tileset lists.
 fn listed(tileset: &Value) -> BTreeSet<String> {
     let mut names: Vec<&Value> = tileset[UNFINISHED].as_array().into_iter().flatten().collect();
     let mut tiles = vec![&tileset["root"]];

@@ -1,7 +1,9 @@
-//! The Gaussians of a run as splats: each has the colour of its albedo times the light that reaches it, as a display value.
+//! The Gaussians of a run as splats: each has the colour of its albedo times the light that reaches it, as a display
+//! value.
 //!
-//! The light of each Gaussian is traced from its centre. A rendering multiplies what is composited of albedo and of light; here it is
-//! multiplied before: at the border of a shadow both differ a little. Viewers blend display values, a rendering blends light.
+//! The light of each Gaussian is traced from its centre. Here albedo and light are multiplied before splats are
+//! composited, in a rendering afterwards: at the border of a shadow both differ a little. Viewers blend display values,
+//! a rendering blends light.
 
 use super::tile::MosaicTile;
 use crate::model::{LoadedModel, ModelFile, load};
@@ -23,36 +25,36 @@ use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
 use serde_json::{Value, json};
 
-/// Splats fainter than a step of a byte are left out.
+/// Least opacity of an exported splat: a step of a byte.
 const OPACITY_LEAST: f32 = 1.0 / 255.0;
-/// Half-precision covariances of viewers end near here, metres.
+/// Largest standard deviation of an exported splat, metres: half-precision covariances of viewers end near here.
 const SCALE_MOST_M: f32 = 100.0;
-/// Quantiles of what is seen from above that are shown black and white.
+/// Quantiles of the image from above that are shown black and white.
 const BLACK: f64 = 0.01;
 const WHITE: f64 = 0.995;
-/// Values of each band that the display of a mosaic is found from, about.
+/// Approximate number of values of each band from which the display of a mosaic is found.
 const DISPLAY_VALUES: usize = 4_000_000;
 
 /// Display stretch: linear from black to white, then the sRGB curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Display {
-    /// The bands that are red, green and blue; the first one thrice where there is no colour.
+    /// Indices of the bands shown as red, green and blue; the first one thrice where there is no colour.
     pub bands: [usize; 3],
-    /// Value that is shown black.
+    /// Value that is shown black, in the unit of the image.
     pub black: f32,
-    /// Value that is shown white.
+    /// Value that is shown white, in the unit of the image.
     pub white: f32,
 }
 
 impl Display {
-    /// One that shows the middle quantiles of an image.
+    /// Display stretch between two quantiles of an image.
     pub(super) fn of(image: &Raster, kinds: &[BandKind], quantiles: (f64, f64)) -> Self {
         let bands = shown(kinds);
         let values: Vec<f32> = bands.iter().flat_map(|&band| image.plane(band)).copied().collect();
         Self::of_values(bands, &values, quantiles)
     }
 
-    /// Two quantiles of the values of these bands.
+    /// Display stretch between two quantiles of the values of these bands.
     fn of_values(bands: [usize; 3], values: &[f32], quantiles: (f64, f64)) -> Self {
         let (black, white) = percentiles(values, quantiles.0, quantiles.1).unwrap_or((0.0, 1.0));
         Self {
@@ -62,13 +64,13 @@ impl Display {
         }
     }
 
-    /// The display value of a value, 0 to 1.
+    /// Display value (sRGB) of a value, 0 to 1.
     pub fn show(&self, value: f32) -> f32 {
         display::encode(((value - self.black) / (self.white - self.black)).clamp(0.0, 1.0)).0
     }
 }
 
-/// The bands that are red, green and blue.
+/// Indices of the bands shown as red, green and blue.
 fn shown(kinds: &[BandKind]) -> [usize; 3] {
     let place = |kind: BandKind| kinds.iter().position(|&k| k == kind);
     match (place(BandKind::Red), place(BandKind::Green), place(BandKind::Blue)) {
@@ -78,23 +80,23 @@ fn shown(kinds: &[BandKind]) -> [usize; 3] {
     }
 }
 
-/// The splats of a run under a sun.
+/// Splats of a run or a mosaic under a sun.
 pub struct Lit {
-    /// The splats, in the local frame.
+    /// Splats in the local frame.
     pub splats: Vec<Splat>,
-    /// Display stretch of their colours.
+    /// Display stretch of the splats' colours.
     pub display: Display,
-    /// The sun; `None` where the model knows no light, and shows the ground as it was photographed.
+    /// Sun of the splats; `None` for a model without light, which shows the ground as it was photographed.
     pub sun: Option<SunPosition>,
     counts_per_unit: f64,
 }
 
 impl Lit {
-    /// The splats of `model` under `sun`, or under that of its reference image. The display is the same for all suns: that of the reference
-    /// image seen from above.
+    /// Splats of `model` under `sun`, or under the sun of its reference image. The display stretch is the same for all
+    /// suns: that of the reference image's sun, seen from above.
     ///
     /// # Errors
-    /// [`RelightError`] where the sun is down, or the model has no light and a sun is asked for.
+    /// [`RelightError`] where the sun is too low, or the model has no light and `sun` is given.
     pub fn new(model: &LoadedModel, sun: Option<&SunPosition>) -> Result<Self, RelightError> {
         let lit_by = |sun: SunPosition| Ok::<_, RelightError>((sun, light_of(model, &sun)?));
         let own = own_sun(&model.file).map(lit_by).transpose()?;
@@ -110,8 +112,8 @@ impl Lit {
         })
     }
 
-    /// The splats of all tiles of a mosaic in the frame of `nadir`, each tile's within its core and with its gains, under `sun` or that of the first
-    /// tile's reference image. Tiles are loaded one after the other.
+    /// Splats of all tiles of a mosaic in the frame of `nadir`, those of each tile within its core and with its gains,
+    /// under `sun` or the sun of the first tile's reference image. Tiles are loaded one after the other.
     ///
     /// # Errors
     /// Errors of [`Lit::new`], and when a tile cannot be read.
@@ -178,7 +180,8 @@ impl Lit {
     }
 }
 
-/// From one local frame to another, which are turned against each other by the angle between their plumb lines.
+/// Transform from one local frame to another; the two are turned against each other by the angle between their plumb
+/// lines.
 struct Moved {
     turn: DMat3,
     offset_m: DVec3,
@@ -204,12 +207,12 @@ impl Moved {
     }
 }
 
-/// The sun under which a model shows its splats where none is asked for: that of its reference image, if it has light.
+/// Default sun of a model's splats: that of its reference image; `None` for a model without light.
 fn own_sun(file: &ModelFile) -> Option<SunPosition> {
     reference_sun(file).filter(|_| file.has_light())
 }
 
-/// The sun of the image whose colour is the model's; of the first other one where that is unknown.
+/// Sun of the image whose colour is the model's, or of the first other training image where that is unknown.
 fn reference_sun(file: &ModelFile) -> Option<SunPosition> {
     let trained = || file.images.iter().filter(|image| image.appearance.is_some());
     let reference = trained().find(|image| image.appearance == Some(file.options.reference));
@@ -242,11 +245,11 @@ fn from_above(model: &LoadedModel, light: Option<(SunPosition, Light)>) -> Resul
     Ok(image)
 }
 
-/// The colour of each Gaussian under a light, in the model's units: the model composes an image in which each Gaussian is a pixel that it
-/// covers alone.
+/// Colour of each Gaussian under a light, in the model's units: the model composes an image in which each Gaussian is a
+/// pixel that it covers alone.
 ///
 /// # Errors
-/// [`RelightError`] for a model without the light of day.
+/// [`RelightError`] for a model without daylight.
 fn colours(model: &LoadedModel, lit_by: Option<(SunPosition, Light)>) -> Result<Raster, RelightError> {
     let light = lit_by.map(|(_, light)| light);
     let gaussians = &model.parameters.gaussians;

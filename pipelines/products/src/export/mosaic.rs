@@ -1,7 +1,7 @@
 //! A batch's mosaic for other programs: the splats of all its tiles in one frame, and its merged surface.
 //!
-//! Tiles overlap; of each only what stands on its core is taken, the ground that is its alone. Tiles know their colours up to a gain for each
-//! band: they get the gains with which the mosaic's albedo was merged.
+//! Tiles overlap: each contributes the splats on its core, ground that belongs to no other core. The colours of a tile
+//! are known up to a gain for each band; they get the gains with which the mosaic's albedo was merged.
 
 use super::ExportError;
 use super::lit::Lit;
@@ -26,10 +26,10 @@ pub struct Mosaic {
 }
 
 impl Mosaic {
-    /// The mosaic in `folder`: its surface, whose altitudes are above the ellipsoid, its albedo on the same grid, and its tiles.
+    /// Mosaic in `folder`: its surface, with altitudes above the ellipsoid, its albedo on the same grid, and its tiles.
     ///
     /// # Errors
-    /// When it has no tile, or its grid lies outside its coordinate system.
+    /// When there is no tile, or the grid lies outside its coordinate system.
     pub fn new(folder: &Path, dsm: Dsm, albedo: Raster, tiles: Vec<MosaicTile>) -> Result<Self, ExportError> {
         if tiles.is_empty() {
             return Err(ExportError::NoSurface(folder.to_owned()));
@@ -45,18 +45,28 @@ impl Mosaic {
         })
     }
 
+    /// Folder of the mosaic.
     pub(super) fn folder(&self) -> &Path {
         &self.folder
     }
 
+    /// Local frame of the mosaic.
     pub(super) fn frame(&self) -> &LocalFrame {
         &self.frame
     }
 
+    /// Splats of all tiles under `sun`, or under the sun of the first tile's reference image.
+    ///
+    /// # Errors
+    /// When a tile cannot be read, or the sun cannot be used.
     pub(super) fn lit(&self, sun: Option<&SunPosition>) -> Result<Lit, ExportError> {
         Ok(Lit::of_tiles(&self.tiles, (&self.nadir, &self.frame), sun)?)
     }
 
+    /// Textured surface of the mosaic.
+    ///
+    /// # Errors
+    /// When the first tile, which names the bands, cannot be read.
     pub(super) fn ground(&self) -> Result<TexturedGround, ExportError> {
         let bands = load_file(&self.tiles[0].run)?.bands;
         Ok(TexturedGround::new(&self.dsm, &self.albedo, &bands, &self.nadir.enu))

@@ -1,8 +1,8 @@
-//! The surface as triangles with the albedo as their picture: two for each square of four cells.
+//! The surface as triangles, two for each square of four cells, with the albedo as their picture.
 //!
-//! Steep triangles, the walls, have corners of their own and face where they face; all others share corners and are smooth. A cell
-//! that is not known is a hole. Tiles of the same level share the cells of their border, so no gap shows between them; where levels meet
-//! there may be one as wide as a coarse cell is off.
+//! Steep triangles, the walls, have corners and normals of their own; all others share corners and are smooth. Unknown
+//! cells are holes. Tiles of one level share the cells of their border, so no gap shows between them; where levels meet
+//! there may be a gap as wide as the error of a coarse cell.
 
 use super::ExportError;
 use super::lit::Display;
@@ -20,7 +20,7 @@ use std::io::Cursor;
 
 /// Cells along a side of a tile.
 const TILE_CELLS: usize = 256;
-/// Levels above the finest, at least: a small site is seen from far away, too.
+/// Least number of levels above the finest: a small site is seen from far away, too.
 const LEVELS_LEAST: u32 = 2;
 /// Cosine of the slope beyond which a triangle is a wall: 60 degrees.
 const WALL: f32 = 0.5;
@@ -28,26 +28,28 @@ const WALL: f32 = 0.5;
 const WHITE: f64 = 0.995;
 const PNG: &str = "image/png";
 
-/// A surface on a grid, in the local frame, and its picture.
+/// Surface on a grid, in the local frame, and its picture.
 pub(super) struct TexturedGround {
     width: usize,
     height: usize,
-    /// Places of the cells' middles, metres; NaN where nothing is known.
+    /// Positions of the cells' centres, metres; NaN where unknown.
     places: Vec<Vec3>,
     picture: RgbImage,
     cell_m: f64,
     white: f32,
 }
 
-/// A piece of it as a file.
+/// Part of the surface as a GLB file.
 pub(super) struct Dressed {
+    /// Bytes of the file.
     pub(super) glb: Vec<u8>,
+    /// Number of triangles.
     pub(super) triangles: usize,
     low: [f64; 3],
     high: [f64; 3],
 }
 
-/// Columns and rows from a cell to another, both included, and every how many.
+/// Rectangle of cells, first and last included, of which every `step`-th is a corner.
 #[derive(Debug, Clone, Copy)]
 struct Part {
     from: [usize; 2],
@@ -64,7 +66,7 @@ struct Triangles {
 }
 
 impl TexturedGround {
-    /// The surface of `dsm`, above the ellipsoid, with an albedo on the same grid.
+    /// Textured surface of `dsm`, whose altitudes are above the ellipsoid, with an albedo of `bands` on the same grid.
     pub(super) fn new(dsm: &Dsm, albedo: &Raster, bands: &[BandKind], enu: &EnuGrid) -> Self {
         let (width, height) = (dsm.grid.width, dsm.grid.height);
         let altitude = dsm.raster.plane(0);
@@ -91,7 +93,10 @@ impl TexturedGround {
         json!({"albedo": {"black": 0.0, "white": self.white, "curve": "sRGB"}, "cell_m": self.cell_m})
     }
 
-    /// All of it as one file; `None` where nothing is known.
+    /// Whole surface as one file with `said` as metadata; `None` where nothing is known.
+    ///
+    /// # Errors
+    /// `TooLarge` for a file of more than 4 GiB.
     pub(super) fn whole(&self, said: Value) -> Result<Option<Dressed>, TooLarge> {
         let to = [self.width - 1, self.height - 1];
         self.dressed(
@@ -104,7 +109,11 @@ impl TexturedGround {
         )
     }
 
-    /// All of it as tiles, of which each of a coarser level has a quarter of the cells; counts the triangles of the finest level.
+    /// Writes the whole surface as tiles, each coarser level with a quarter of the cells, and returns the root; `None`
+    /// where nothing is known. Adds the triangles of the finest level to `triangles`.
+    ///
+    /// # Errors
+    /// Errors of `write`, and `ExportError::TooLarge` for a tile of more than 4 GiB.
     pub(super) fn tiles(
         &self,
         write: &mut WriteFile<ExportError>,
@@ -264,7 +273,7 @@ impl TexturedGround {
         out
     }
 
-    /// The picture of a part, one pixel for each of its cells, averaged where not every cell is a corner.
+    /// Picture of a part as PNG: one pixel for each of its cells, averaged where not every cell is a corner.
     fn png(&self, part: &Part) -> Vec<u8> {
         let [width, height] = [0, 1].map(|k| part.to[k] - part.from[k] + 1);
         let cut = image::imageops::crop_imm(
@@ -286,7 +295,7 @@ impl TexturedGround {
     }
 }
 
-/// The display values of an albedo; what is not known has the mean of what is, so that no edge shines through.
+/// Display values of an albedo; unknown cells get the mean of the known ones, so that no edge shines through.
 fn picture(albedo: &Raster, display: &Display) -> RgbImage {
     let shown = |i: usize| display.bands.map(|band| display.show(albedo.plane(band)[i]));
     let known = |i: &usize| display.bands.iter().all(|&band| albedo.plane(band)[*i].is_finite());

@@ -4,23 +4,23 @@ use glam::Vec3;
 use heliosplat::{ProjectiveCamera, Raster};
 use std::path::PathBuf;
 
-/// Cells that the splats of a tile may lie beyond its core: those of two tiles stand on grids of their own, and between two cores a line would
-/// stay open that is up to two cells wide.
+/// Distance beyond the core of a tile within which its splats are kept, cells: the splats of two tiles stand on grids
+/// of their own, and between two cores a line up to two cells wide would stay open.
 const OVERLAP_CELLS: f32 = 0.5;
 
 /// A tile of a mosaic.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MosaicTile {
-    /// The folder of its run.
+    /// Folder of the tile's run.
     pub run: PathBuf,
-    /// First and one past last column and row of the mosaic of its core.
+    /// Core of the tile, columns and rows of the mosaic: first and one past the last of each.
     pub core: [[isize; 2]; 2],
-    /// Gains of its colours, band by band; missing gains are 1.
+    /// Gains of the tile's colours, band by band; missing gains are 1.
     pub gains: Vec<f64>,
 }
 
 impl MosaicTile {
-    /// Multiplies colours by the gains.
+    /// Multiplies the bands of `colours` by the gains.
     pub(super) fn balance(&self, colours: &mut Raster) {
         for band in 0..colours.bands {
             let gain = self.gains.get(band).map_or(1.0, |gain| *gain as f32);
@@ -32,7 +32,7 @@ impl MosaicTile {
     /// is the camera whose pixels are the mosaic's cells.
     pub(super) fn contains(&self, nadir: &ProjectiveCamera, position: Vec3) -> bool {
         let (col, row, _) = nadir.project(position);
-        // Cells have their middles at integers.
+        // Cells have their centres at integers.
         let inside = |at: f32, [from, to]: [isize; 2]| {
             (from as f32 - OVERLAP_CELLS..to as f32 + OVERLAP_CELLS).contains(&(at + 0.5))
         };

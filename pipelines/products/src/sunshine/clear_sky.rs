@@ -1,26 +1,27 @@
 //! Irradiance under a clear sky: the model of the European Solar Radiation Atlas.
 //!
-//! C. Rigollier, O. Bauer and L. Wald, "On the clear sky model of the ESRA with respect to the Heliosat method", Solar Energy 68(1), 2000,
-//! for beam, Rayleigh optical depth and diffuse light; optical air mass of F. Kasten and A. T. Young, "Revised optical air mass tables and
-//! approximation formula", Applied Optics 28(22), 1989.
+//! C. Rigollier, O. Bauer and L. Wald, "On the clear sky model of the ESRA with respect to the Heliosat method", Solar
+//! Energy 68(1), 2000, for beam, Rayleigh optical depth and diffuse light; optical air mass of F. Kasten and A. T.
+//! Young, "Revised optical air mass tables and approximation formula", Applied Optics 28(22), 1989.
 
-/// Linke turbidity at air mass 2 that is taken: clear air over land in temperate climates.
+/// Linke turbidity at air mass 2: that of clear air over land in temperate climates.
 pub const LINKE_TURBIDITY: f64 = 3.0;
 /// Solar constant of the model, W/m².
 const SOLAR_CONSTANT_W_M2: f64 = 1367.0;
 /// Height in which pressure falls to 1/e, metres.
 const SCALE_HEIGHT_M: f64 = 8434.5;
 
-/// Light of the sun and of the sky, W/m².
+/// Irradiance of the sun and of the sky, W/m².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Irradiance {
-    /// On a surface that faces the sun.
+    /// Irradiance of a surface that faces the sun.
     pub(super) beam_w_m2: f64,
     /// Diffuse irradiance of the whole sky on level ground.
     pub(super) diffuse_w_m2: f64,
 }
 
-/// The irradiance under a sun at an elevation and a distance (astronomical units), some metres above the sea. Nothing below the horizon.
+/// Irradiance under a sun at an elevation and a distance (astronomical units), some metres above the sea, at a Linke
+/// turbidity; zero for a sun below the horizon.
 pub(super) fn irradiance(elevation_rad: f64, distance_au: f64, height_m: f64, turbidity: f64) -> Irradiance {
     if elevation_rad <= 0.0 {
         return Irradiance {
@@ -37,7 +38,8 @@ pub(super) fn irradiance(elevation_rad: f64, distance_au: f64, height_m: f64, tu
     }
 }
 
-/// Relative optical air mass, less with less pressure, of the elevation with its refraction (0.1 degree at 10 degrees).
+/// Relative optical air mass, reduced with the pressure, of the elevation with its refraction (0.1 degree at 10
+/// degrees).
 fn air_mass(elevation_rad: f64, height_m: f64) -> f64 {
     let refraction_rad = 0.061_359 * (0.1594 + 1.1230 * elevation_rad + 0.065_656 * elevation_rad.powi(2))
         / (1.0 + 28.9344 * elevation_rad + 277.3971 * elevation_rad.powi(2));
@@ -55,7 +57,7 @@ fn rayleigh_depth(mass: f64) -> f64 {
     1.0 / (6.6296 + m * (1.7513 + m * (-0.1202 + m * (0.0065 - m * 0.00013))))
 }
 
-/// Diffuse irradiance of level ground, relative to the sun's above the air.
+/// Diffuse irradiance of level ground, relative to the sun's irradiance above the air.
 fn diffuse_share(elevation_rad: f64, turbidity: f64) -> f64 {
     let t = turbidity;
     let zenith = -1.5843e-2 + t * (3.0543e-2 + t * 3.797e-4);

@@ -1,7 +1,7 @@
 //! A surface as a small plane in each cell, for horizons and irradiance.
 //!
-//! A surface model of half a metre is rough by a decimetre: taken as it is, level ground would face all ways and lie in its own shadow
-//! under a low sun. Each cell gets the plane that fits the cells around it, without those beyond an edge.
+//! A surface model of half a metre is rough by a decimetre: unsmoothed, level ground would face all ways and lie in its
+//! own shadow under a low sun. Each cell gets the plane that fits the cells around it, without those beyond an edge.
 
 use crate::nadir::CellVectors;
 use heliosplat::Raster;
@@ -10,14 +10,16 @@ use rayon::prelude::*;
 
 /// Radius of the neighbourhood that the plane of a cell is fitted to, metres.
 const REACH_M: f64 = 1.5;
-/// A cell takes part whose altitude differs by no more than this plus [`STEEPEST`] times its distance, metres.
+/// Largest difference in altitude of a cell that takes part, metres; [`STEEPEST`] times its distance is added.
 const ROUGHNESS_M: f64 = 0.25;
 /// Rise per metre of the steepest surface that is one surface.
 const STEEPEST: f64 = 1.0;
 
 /// Planes of cells, `NaN` where the altitude is unknown.
 pub(super) struct Facets {
+    /// Number of columns.
     pub(super) width: usize,
+    /// Number of rows.
     pub(super) height: usize,
     /// Altitude of each plane at its cell's centre, metres.
     pub(super) up_m: Vec<f32>,

@@ -1,8 +1,9 @@
 //! Horizon elevation of all cells of a surface in one direction.
 //!
-//! Lines run over the grid away from the sun; each cell lies on one of them, at most half a cell aside. Along a line only the upper convex
-//! hull of what was passed can be the horizon of what follows, so a sweep takes time proportional to the number of cells, however far
-//! shadows reach (V. Timonen and J. Westerholm, "Scalable height field self-shadowing", Computer Graphics Forum 29(2), 2010).
+//! Lines run over the grid away from the sun; each cell lies on one of them, at most half a cell aside. Only the upper
+//! convex hull of the passed cells can be the horizon of later ones, so a sweep takes time proportional to the number
+//! of cells, however far shadows reach (V. Timonen and J. Westerholm, "Scalable height field self-shadowing", Computer
+//! Graphics Forum 29(2), 2010).
 
 use super::facets::Facets;
 use crate::nadir::CellVectors;
@@ -10,13 +11,13 @@ use crate::nadir::CellVectors;
 /// Height of the viewpoint of a cell above its plane, metres; lower relief is treated as roughness.
 const LIFT_M: f64 = 0.1;
 
-/// A surface whose horizons are sought.
+/// Surface whose horizons are computed.
 pub(super) struct Horizons<'a> {
     facets: &'a Facets,
     cells: &'a CellVectors,
 }
 
-/// Lines over the grid: which way, and how.
+/// Direction and steps of the lines over the grid.
 struct Lines {
     /// Direction toward the sun: east, north.
     sun: [f64; 2],
@@ -37,12 +38,13 @@ struct Lines {
 }
 
 impl<'a> Horizons<'a> {
+    /// Horizons of a surface whose cells are spaced by `cells`.
     pub(super) fn new(facets: &'a Facets, cells: &'a CellVectors) -> Self {
         Self { facets, cells }
     }
 
-    /// Tangent of the elevation of the horizon in a direction, at least 0; `NaN` where the surface is unknown. Neighbours count, and the
-    /// slope of a cell itself.
+    /// Tangents of the elevation of all cells' horizons in a direction, at least 0; `NaN` where the surface is unknown.
+    /// The horizon includes neighbouring cells, and the slope of the cell itself.
     pub(super) fn toward(&self, azimuth_rad: f64) -> Vec<f32> {
         let lines = self.lines(azimuth_rad);
         let mut out = vec![f32::NAN; self.facets.up_m.len()];
@@ -73,7 +75,7 @@ impl<'a> Horizons<'a> {
         }
     }
 
-    /// Walks one line away from the sun; `hull` holds distance and altitude of what was passed.
+    /// Walks one line away from the sun; `hull` holds distance and altitude of passed cells, metres.
     fn walk(&self, lines: &Lines, first: i64, hull: &mut Vec<[f64; 2]>, out: &mut [f32]) {
         for step in 0..lines.steps {
             let moved = step as f64 * lines.drift;
@@ -91,7 +93,7 @@ impl<'a> Horizons<'a> {
             if !self.facets.is_known(cell) {
                 continue;
             }
-            // The line passes beside the cell's centre, where its plane is as much higher or lower.
+            // The line passes beside the cell's centre; the altitude there is that of the cell's plane.
             let aside = moved - moved.round();
             let [to_east, to_north] = self.facets.slope[cell].map(f64::from);
             let rise = |[east, north]: [f64; 2]| to_east * east + to_north * north;
@@ -111,7 +113,7 @@ fn rise_to(point: [f64; 2], from: [f64; 2]) -> f64 {
     (point[1] - from[1]) / (from[0] - point[0])
 }
 
-/// The steepest rise to a hull from a point beyond it. Seen from the nearest vertex on it grows, then falls.
+/// The steepest rise to a hull from a point beyond it. From the nearest vertex on the rise grows, then falls.
 fn highest(hull: &[[f64; 2]], from: [f64; 2]) -> f64 {
     let mut best = f64::NEG_INFINITY;
     for &point in hull.iter().rev() {

@@ -15,7 +15,7 @@ const DAY_S: i64 = 86_400;
 /// Most days of a period.
 const DAYS_MAX: i64 = 366;
 
-/// Some days, the last one included; each from midnight to midnight of mean solar time at the place.
+/// Period of whole days, the last one included; each runs from midnight to midnight of mean solar time at the place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Period {
     from: Date,
@@ -23,10 +23,10 @@ pub struct Period {
 }
 
 impl Period {
-    /// The days from one to another.
+    /// Period from one day to another, both included.
     ///
     /// # Errors
-    /// A sentence for people, where the period ends before it begins or is longer than a year.
+    /// A sentence on the fault, where the period ends before it begins or has more than 366 days.
     pub fn new(from: Date, to: Date) -> Result<Self, String> {
         let days = i64::from((to - from).get_days()) + 1;
         match days {
@@ -36,7 +36,7 @@ impl Period {
         }
     }
 
-    /// Its first and its last day.
+    /// First and last day of the period.
     pub fn ends(&self) -> (Date, Date) {
         let last = self.from.checked_add(jiff::Span::new().days(self.days - 1));
         (self.from, last.unwrap_or(self.from))
@@ -46,7 +46,7 @@ impl Period {
 impl FromStr for Period {
     type Err = String;
 
-    /// `FROM` or `FROM/TO`: days.
+    /// Period from `FROM` or `FROM/TO`, dates such as 2026-06-21.
     fn from_str(text: &str) -> Result<Self, String> {
         let date = |word: &str| {
             let wrong = |_| format!("'{word}' is not a date such as 2026-06-21");
@@ -62,20 +62,20 @@ impl FromStr for Period {
 pub(super) struct Seen {
     /// Hours of sun.
     pub(super) hours: f64,
-    /// Its beam, Wh/m² on a surface that faces it, as a vector toward it: east, north, up.
+    /// Energy of the sun's beam, Wh/m² on a surface that faces it, as a vector toward it: east, north, up.
     pub(super) beam_wh_m2: [f64; 3],
 }
 
 /// The suns of a period, sorted by azimuth and elevation.
 pub(super) struct Suns {
     days: i64,
-    /// Of each sector: tangents of elevations from high to low, and what is seen down to each.
+    /// Of each sector: tangents of elevations from high to low, and the sunshine summed down to each.
     sectors: Vec<Vec<(f64, Seen)>>,
     diffuse_wh_m2: f64,
 }
 
 impl Suns {
-    /// The suns of a period at a place, whose height above the ellipsoid is taken for that above the sea.
+    /// Suns of a period at a place; its height above the ellipsoid serves as height above the sea.
     pub(super) fn new(place: GeoPoint, period: &Period, sectors: usize) -> Self {
         let hours = STEP_S as f64 / 3600.0;
         let mut out = Self {

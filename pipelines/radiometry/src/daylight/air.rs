@@ -20,36 +20,37 @@ use rayon::prelude::*;
 const DEPTH_PRIOR: (f64, f64) = (0.2, std::f64::consts::LN_2);
 /// Share of scattered light that reaches the ground, and the deviation of its logarithm.
 const SKY_PRIOR: (f64, f64) = (0.5, 0.4);
-/// Clear air.
+/// Air of a clear sky, the centre of the prior.
 pub(crate) const CLEAR: BandAir = BandAir {
     optical_depth: DEPTH_PRIOR.0,
     sky_share: SKY_PRIOR.0,
 };
 
-/// Deviation of the logarithm of an image's shade, since shadows are measured near walls and errors of the surface.
+/// Deviation of the logarithm of an image's shade: shadows are measured near walls and errors of the surface.
 const SHADE_SIGMA: f64 = 0.25;
 /// Least deviation of the logarithm of an image's gain.
 const EXPOSURE_SIGMA: f64 = 0.1;
 /// Deviations beyond which evidence counts less than its square.
 const HUBER: f64 = 1.5;
-/// Grid of the search along each of the two, and the number of refinements around its best point.
+/// Intervals of the search grid along each of the two parameters, and the number of refinements around its best node.
 const STEPS: usize = 40;
 const REFINEMENTS: usize = 2;
 
 /// Evidence of one image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
-    /// Elevation of the sun.
+    /// Elevation of the sun, radians.
     pub elevation_rad: f64,
-    /// Shaded relative to sunlit ground, per band; `None` where the image has too few pairs.
+    /// Brightness of shaded relative to sunlit ground, 0 to 1, per band; `None` where the image has too few pairs.
     pub shade: Vec<Option<f64>>,
-    /// Sunlit ground relative to that of the reference image, per band; `None` for the reference image, and where
-    /// images have no colour of their own.
+    /// Brightness of sunlit ground relative to that of the reference image, per band; `None` for the reference image,
+    /// and where images have no colour of their own.
     pub gain: Vec<Option<f64>>,
 }
 
-/// The evidence of a trained model with the images' elevations of the sun and their `shades`, measured before training:
-/// the initial skies are too bright, and a short training hardly changes them. Images without a sun are left out.
+/// Evidence of a trained model: gains from its colours, and `shades` measured before training, because the initial
+/// skies are too bright and a short training hardly changes them. `elevations_rad` are the elevations of the images'
+/// suns, radians; images without a sun are left out.
 pub fn evidence(
     model: &ShadowGs,
     parameters: &Parameters,
@@ -70,8 +71,8 @@ pub fn evidence(
     elevations_rad.iter().enumerate().filter_map(of_image).collect()
 }
 
-/// The light of day by the evidence of all images, relative to a reference image with a sun of this elevation. `None`
-/// without a sun.
+/// Most probable light of day under the evidence of all images, relative to a reference image with a sun at an
+/// elevation, radians. `None` without a reference sun above the horizon.
 pub fn fit(evidence: &[Evidence], reference_elevation_rad: Option<f64>, bands: usize) -> Option<Daylight> {
     let reference = reference_elevation_rad.filter(|e| *e > 0.0)?;
     let up: Vec<&Evidence> = evidence.iter().filter(|e| e.elevation_rad > 0.0).collect();

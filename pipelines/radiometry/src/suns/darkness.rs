@@ -9,7 +9,7 @@ use heliosplat_stereo::Surface;
 use heliosplat_stereo::SweepView;
 use rayon::prelude::*;
 
-/// Natural logarithm of brightness beyond which darker is not more of a shadow.
+/// Largest darkness, natural logarithm of brightness: darker ground is no stronger evidence of a shadow.
 const MOST: f32 = 1.5;
 /// Fewest views of other dates for the brightness of a cell.
 const FEWEST_OTHERS: usize = 2;
@@ -18,8 +18,8 @@ const LIT_QUANTILE: f64 = 0.75;
 /// Half of the window whose mean replaces the other dates where there are none, metres.
 const WINDOW_M: f32 = 20.0;
 
-/// Logarithms of the brightness of the sampled cells in each view, less the view's median; NaN where it does not see
-/// them.
+/// Natural logarithms of the brightness of the sampled cells in each view, less the view's median; NaN for cells hidden
+/// from the view.
 pub(crate) struct Darkness {
     brightness: Vec<Vec<f32>>,
     /// Columns and rows of the sampled cells in windows, for local means.
@@ -28,6 +28,7 @@ pub(crate) struct Darkness {
 }
 
 impl Darkness {
+    /// Brightness of the sampled `cells` of `surface` in `views`; `relief` hides cells from them.
     pub(crate) fn new(views: &[SweepView], surface: &Surface, relief: &Relief, cells: &[usize]) -> Self {
         let brightness = views
             .par_iter()
@@ -49,9 +50,10 @@ impl Darkness {
         }
     }
 
-    /// Darkness of each cell in the views of a date relative to the others that see it `lit` (view by view, where that
-    /// is known); NaN where the cell is hidden, or no other view sees it lit. With fewer than two views of other dates
-    /// in all, relative to the ground around.
+    /// Darkness of each sampled cell in the views of a date, natural logarithm of brightness, within ±`MOST`, relative
+    /// to the views of other dates that show it lit. `lit` is the mask of each view, `None` where its sun is unknown.
+    /// NaN where the cell is hidden, or no other view shows it lit. With fewer than two views of other dates in all,
+    /// the darkness is relative to the ground around.
     pub(crate) fn of_date(&self, views: &[SweepView], date: u32, lit: &[Option<Vec<bool>>]) -> Vec<f32> {
         let is_own = |view: usize| views[view].date_group == date;
         let (own, others): (Vec<usize>, Vec<usize>) = (0..views.len()).partition(|&view| is_own(view));
@@ -89,7 +91,7 @@ impl Darkness {
         darker.iter().map(|v| (middle - v).clamp(-MOST, MOST)).collect()
     }
 
-    /// Takes from each value the mean of those in its window of a regular tiling.
+    /// Subtracts from each value the mean of those in its window of a regular tiling.
     fn less_local_mean(&self, values: &mut [f32]) {
         let tile = |&(col, row): &(usize, usize)| (col / self.window_cells, row / self.window_cells);
         let columns = self.places.iter().map(|p| tile(p).0 + 1).max().unwrap_or(1);
@@ -108,14 +110,14 @@ impl Darkness {
     }
 }
 
-/// Logarithm of the brightness of each cell in a view; NaN where the view does not see it.
+/// Natural logarithm of the brightness of each cell in a view; NaN where it is hidden or outside the image.
 fn seen(view: &SweepView, surface: &Surface, relief: &Relief, cells: &[usize]) -> Vec<f32> {
     let middle = surface.point(surface.width / 2, surface.height / 2);
     let (col, row, _) = view.camera.project(middle);
     let camera: Vec3 = -view.camera.ray_direction(col, row);
     let across = camera.truncate().length();
     let azimuth_deg = f64::from(camera.x).atan2(f64::from(camera.y)).to_degrees();
-    // Seen from straight above nothing hides anything.
+    // A camera straight above sees every cell.
     let rise = (across > 1e-3).then(|| camera.z / across);
     let toward = rise.map(|rise| toward(azimuth_deg, f64::from(rise).atan().to_degrees()));
     cells
@@ -136,7 +138,7 @@ fn seen(view: &SweepView, surface: &Surface, relief: &Relief, cells: &[usize]) -
         .collect()
 }
 
-/// The mean of the bands, bilinear; NaN outside and next to missing pixels.
+/// Mean of the bands at a pixel position, bilinear; NaN outside the image and next to missing pixels.
 pub(crate) fn bilinear(image: &Raster, col: f32, row: f32) -> f32 {
     let size = (image.width, image.height);
     let sum: f32 = (0..image.bands)

@@ -5,7 +5,7 @@ use heliosplat_grid::relief::Relief;
 /// Blocks of ground on each side, the units of the bootstrap: each holds whole shadows.
 pub(super) const BLOCKS: usize = 8;
 
-/// A cell and how dark it is.
+/// Darkness of a sampled cell.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CellDarkness {
     /// Its index among the sampled cells.
@@ -14,7 +14,7 @@ pub(super) struct CellDarkness {
     darkness: f64,
 }
 
-/// The known cells of a date.
+/// Samples of the `cells` whose `darkness` (one value each) on a date is known.
 pub(super) fn samples(relief: &Relief, cells: &[usize], darkness: &[f32]) -> Vec<CellDarkness> {
     let block = |cell: usize| {
         let (col, row) = (cell % relief.width, cell / relief.width);
@@ -55,7 +55,7 @@ impl Moments {
         self.squares += times * other.squares;
     }
 
-    /// The sums of all blocks, each with its number of repetitions.
+    /// Sum over all blocks, each multiplied by its number of repetitions.
     pub(super) fn weighted(blocks: &[Self], times: &[u32]) -> Self {
         let mut total = Self::default();
         for (block, &times) in blocks.iter().zip(times) {
@@ -64,7 +64,7 @@ impl Moments {
         total
     }
 
-    /// Correlation between membership of the `shaded` among these cells, and darkness; 0 where it is undefined.
+    /// Correlation between membership in the `shaded` cells among these and darkness, -1 to 1; 0 where it is undefined.
     pub(super) fn correlation(&self, shaded: &Self) -> f64 {
         let share = shaded.count / self.count;
         let mean = self.sum / self.count;
@@ -78,7 +78,7 @@ impl Moments {
     }
 }
 
-/// All cells, block by block.
+/// Moments of all samples, block by block.
 pub(super) fn all_sums(samples: &[CellDarkness]) -> Vec<Moments> {
     let mut sums = vec![Moments::default(); BLOCKS * BLOCKS];
     samples
@@ -87,14 +87,15 @@ pub(super) fn all_sums(samples: &[CellDarkness]) -> Vec<Moments> {
     sums
 }
 
-/// The cells in shadow for each of the rising `elevations_deg`, block by block, where `horizons` are those of all cells
-/// toward the sun's azimuth.
+/// Moments of the samples in shadow, `[elevation][block]`, for ascending `elevations_deg`; `horizons` are the tangents
+/// of the horizons of all sampled cells toward the sun's azimuth.
 pub(super) fn shaded_sums(horizons: &[f32], samples: &[CellDarkness], elevations_deg: &[f64]) -> Vec<Vec<Moments>> {
     let tangents: Vec<f32> = elevations_deg.iter().map(|e| e.to_radians().tan() as f32).collect();
     let mut sums = vec![vec![Moments::default(); BLOCKS * BLOCKS]; elevations_deg.len()];
     for sample in samples {
         let horizon = horizons[sample.place];
-        // In shadow from all suns below the horizon: the highest of them here, the others by adding up.
+        // A cell is in shadow for all suns below its horizon: it is added to the highest one, and sums from there down
+        // follow.
         let below = tangents.partition_point(|&tangent| tangent < horizon);
         if let Some(highest) = below.checked_sub(1) {
             sums[highest][sample.block].add(sample.darkness);
@@ -109,7 +110,7 @@ pub(super) fn shaded_sums(horizons: &[f32], samples: &[CellDarkness], elevations
     sums
 }
 
-/// The score of each of the rising `elevations_deg` toward an azimuth.
+/// Scores of suns at the ascending `elevations_deg` of one azimuth: correlation of shadow and darkness, -1 to 1.
 pub(super) fn of_azimuth(horizons: &[f32], samples: &[CellDarkness], elevations_deg: &[f64]) -> Vec<f64> {
     let once = vec![1; BLOCKS * BLOCKS];
     let total = Moments::weighted(&all_sums(samples), &once);
@@ -118,17 +119,18 @@ pub(super) fn of_azimuth(horizons: &[f32], samples: &[CellDarkness], elevations_
     shaded.iter().map(score).collect()
 }
 
-/// Draws of blocks with replacement, always the same ones.
+/// Bootstrap draws of blocks with replacement, from a fixed seed.
 pub(super) struct Draws {
     state: u64,
 }
 
 impl Draws {
+    /// Generator at its fixed seed.
     pub(super) fn new() -> Self {
         Self { state: 1 }
     }
 
-    /// Number of times each block is drawn.
+    /// Number of times that each block is drawn, for the next draw.
     pub(super) fn next(&mut self) -> Vec<u32> {
         let blocks = BLOCKS * BLOCKS;
         let mut times = vec![0; blocks];

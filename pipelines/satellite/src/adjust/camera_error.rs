@@ -1,23 +1,24 @@
-//! Corrections against the biases that a synthetic scene was made with.
+//! Corrections compared with the true camera biases of a synthetic scene.
 
 use heliosplat_rpc::adjust::{pixels_per_metre, smallest_shifts};
 use heliosplat_scene::{Scene, SceneImage};
 use nalgebra::{Vector2, Vector3};
 
-/// Error of the cameras up to a common translation of the scene, which images do not determine.
+/// Error of the cameras except for a common translation of the scene, which images do not determine.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CameraError {
     /// Root mean square of the images' errors as delivered, pixels.
     pub before_rms_px: f64,
-    /// With the corrections.
+    /// Root mean square of the images' errors with the corrections, pixels.
     pub after_rms_px: f64,
-    /// The largest of the images' errors with the corrections.
+    /// Largest error of an image with the corrections, pixels.
     pub after_max_px: f64,
-    /// Each image's error with the corrections, columns and rows, pixels.
+    /// Error of each image with the corrections, columns and rows, pixels.
     pub images_px: Vec<[f64; 2]>,
 }
 
-/// The error of `shifts_px` (columns, rows) against the true camera biases of the scene, where they are known.
+/// Error of `shifts_px` (columns, rows; pixels) against the true camera biases of the scene; `None` where these are
+/// unknown.
 pub fn camera_error(scene: &Scene, images: &[&SceneImage], shifts_px: &[[f64; 2]]) -> Option<CameraError> {
     let known = scene.true_camera_biases_px()?;
     let biases: Option<Vec<Vector2<f64>>> = images

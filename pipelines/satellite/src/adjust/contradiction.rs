@@ -8,12 +8,13 @@ use heliosplat_grid::statistics::upper_median;
 use heliosplat_rpc::adjust::{Adjustment, FEWEST_SIGHTINGS, ImageResiduals};
 use heliosplat_scene::{Area, Finding, Scene, Severity, crop};
 
-/// Share of an image's tie points that agree with the other images; below it, they agree by chance.
+/// Least share of an image's tie points that agree with the other images; fewer may agree by chance.
 const LEAST_AGREEING: f64 = 0.3;
-/// Raw cameras of vendors are off by up to this, pixels; an adjustment that moves one further has matched something
-/// else, or the camera is that of another image.
+/// Largest error of vendors' raw cameras, pixels. An adjustment by more has matched something else, or the camera is
+/// that of another image.
 const FARTHEST_PX: f64 = 10.0;
-/// An image that shows this many times the ground of [`FEWEST_SIGHTINGS`] tie points of the others has ties of its own.
+/// Least expected number of an image's tie points at which a lack of ties counts against its camera, as a multiple of
+/// [`FEWEST_SIGHTINGS`]; the expectation is from the density of ties in the other images.
 const ENOUGH: f64 = 4.0;
 /// Side of the middle part of a large scene whose ties are searched for a finding, pixels.
 const PATCH_PX: f64 = 1000.0;
@@ -21,17 +22,18 @@ const PATCH_PX: f64 = 1000.0;
 /// A camera that the ties of its image contradict.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Contradiction {
-    /// Index of the image.
+    /// Index of the image among the images of the ground.
     pub(crate) image: usize,
-    /// True if the image is left out: its ties do not agree even with its camera corrected.
+    /// True if the image is left out: its ties do not agree even with a corrected camera.
     pub(crate) is_out: bool,
     good: usize,
+    /// Number of sightings of ties in the image.
     pub(crate) sightings: usize,
     moved_px: f64,
 }
 
 impl Contradiction {
-    /// One line: image, numbers, remedy.
+    /// One line with image, figures and remedy.
     pub(crate) fn message(&self, name: &str) -> String {
         let Self {
             good,
@@ -56,7 +58,7 @@ impl Contradiction {
     }
 }
 
-/// Share of an image's tie points that agree with the others.
+/// Share of an image's tie points that agree with the other images, 0..1.
 fn share(ties: &ImageResiduals) -> f64 {
     ties.good as f64 / ties.sightings.max(1) as f64
 }
@@ -65,8 +67,8 @@ fn is_sound(ties: &ImageResiduals) -> bool {
     ties.good >= FEWEST_SIGHTINGS && share(ties) >= LEAST_AGREEING
 }
 
-/// The cameras that their images' ties contradict. `pixels` are those of the images that show the ground. An image is
-/// left out only where two others agree.
+/// Cameras that the ties of their images contradict. `pixels` is the number of pixels of each image on the ground. An
+/// image is left out only where two others agree.
 pub(crate) fn contradictions(pixels: &[usize], adjustment: &Adjustment) -> Vec<Contradiction> {
     let images = || adjustment.images.iter().zip(pixels);
     let sound = || images().filter(|(ties, _)| is_sound(ties));
@@ -85,7 +87,7 @@ pub(crate) fn contradictions(pixels: &[usize], adjustment: &Adjustment) -> Vec<C
             continue;
         }
         let is_shown = density * pixels as f64 >= ENOUGH * FEWEST_SIGHTINGS as f64;
-        // Ties that agree as those of the others do have found the camera, however far it was off.
+        // Ties that agree as well as those of other images have found the camera, however far it was off.
         let is_wrong = is_few || share(ties) < usual / 2.0;
         let others = shares.len() - usize::from(!is_few);
         found.push(Contradiction {
@@ -96,14 +98,14 @@ pub(crate) fn contradictions(pixels: &[usize], adjustment: &Adjustment) -> Vec<C
             moved_px,
         });
     }
-    // Nothing is left out where hardly anything would remain.
+    // No image is left out where fewer than two would remain.
     if pixels.len() < 2 + found.iter().filter(|contradiction| contradiction.is_out).count() {
         found.iter_mut().for_each(|contradiction| contradiction.is_out = false);
     }
     found
 }
 
-/// Warns of the contradictions of the images of `ground`; returns which images are left out.
+/// Warns about contradictions of the images of `ground`; returns a flag for each image, true if it is left out.
 pub(crate) fn left_out(ground: &GroundViews, adjustment: &Adjustment) -> Vec<bool> {
     let mut out = vec![false; ground.images.len()];
     for contradiction in contradictions(&ground.pixels(), adjustment) {
@@ -114,14 +116,14 @@ pub(crate) fn left_out(ground: &GroundViews, adjustment: &Adjustment) -> Vec<boo
     out
 }
 
-/// The contradictions between the training images of a scene, by ties in its middle.
+/// Findings about contradictions between the training images of a scene, from ties in its middle.
 pub fn findings(scene: &Scene, config: &SatelliteConfig) -> Vec<Finding> {
     let decisions = Decisions::of(scene, config);
     let area = middle(crop::grown(&scene.area, MARGIN_M), PATCH_PX * scene.gsd_m);
     let (Ok(ground), Some(matching)) = (GroundViews::over(scene, area, scene.training()), decisions.matching) else {
         return Vec::new();
     };
-    // Of two images neither can be the wrong one.
+    // Of two images, neither is known to be wrong.
     if ground.images.len() < 3 || decisions.align == Align::Off {
         return Vec::new();
     }
@@ -133,7 +135,8 @@ pub fn findings(scene: &Scene, config: &SatelliteConfig) -> Vec<Finding> {
             |adjustment| contradictions(&ground.pixels(), &adjustment),
         )
     };
-    // Half resolution passes sound scenes in half of the time; a doubt of it is confirmed as `dsm` and `train` do.
+    // Half resolution passes sound scenes in half of the time; a contradiction there is confirmed at full resolution,
+    // as in `dsm` and `train`.
     if of_ties(false).is_empty() {
         return Vec::new();
     }
@@ -158,7 +161,7 @@ pub fn findings(scene: &Scene, config: &SatelliteConfig) -> Vec<Finding> {
     of_ties(true).into_iter().map(finding).collect()
 }
 
-/// The middle of an area, at most `side_m` each way.
+/// The middle of an area, at most `side_m` metres along each side.
 fn middle(area: Area, side_m: f64) -> Area {
     let [half_wide, half_high] =
         [area.east_m - area.west_m, area.north_m - area.south_m].map(|length_m| length_m.min(side_m) / 2.0);

@@ -1,4 +1,4 @@
-//! Camera adjustment of a whole scene, with its results as text, as JSON, and as files.
+//! Camera adjustment of a whole scene, with the results as text, as JSON, and as files.
 
 use super::camera_error::{CameraError, camera_error};
 use super::vectors::{ImageVectors, image_vectors};
@@ -19,32 +19,32 @@ use std::time::Instant;
 /// Options of an adjustment, besides its scene.
 #[derive(Debug, Clone, Copy)]
 pub struct AdjustRequest<'a> {
-    /// Folder for the corrected cameras and `adjustment.json`, made where it is absent.
+    /// Folder for the corrected cameras and `adjustment.json`; created where missing.
     pub out: &'a Path,
     /// Error model of the cameras.
     pub model: BiasModel,
-    /// True if copies of the images with the corrected cameras are written too.
+    /// True to write copies of the images with the corrected cameras too.
     pub images: bool,
 }
 
 /// The adjusted cameras of a scene.
 pub struct AdjustedScene<'a> {
-    /// The images.
+    /// The ground and the images that show it.
     pub ground: GroundViews<'a>,
     /// Corrections and residuals.
     pub adjustment: Adjustment,
-    /// Largest error of fitting each image's corrected camera as an RPC, pixels.
+    /// Largest error of each image's corrected camera, fitted as an RPC, pixels.
     pub refit_px: Vec<f64>,
-    /// The error against truth, where the scene has it.
+    /// Error against true cameras, where the scene has them.
     pub error: Option<CameraError>,
-    /// Seconds that ties and adjustment took.
+    /// Time of ties and adjustment, seconds.
     pub seconds: f64,
 }
 
-/// Adjusts a scene's cameras and writes them.
+/// Adjusts the cameras of a scene, and writes them with `adjustment.json`.
 ///
 /// # Errors
-/// When too few images show the common ground, they have too few ties, or the folder cannot be written.
+/// When too few images show the common ground, the ties are too few, or the folder cannot be written.
 pub fn adjust_scene<'a>(
     scene: &'a Scene,
     request: &AdjustRequest,
@@ -73,7 +73,7 @@ pub fn adjust_scene<'a>(
     drop(progress);
     let seconds = begun.elapsed().as_secs_f64();
     for mut contradiction in super::contradictions(&ground.pixels(), &adjustment) {
-        // Its camera is written all the same.
+        // The camera is written, although the image contradicts it.
         contradiction.is_out = false;
         tracing::warn!("{}", contradiction.message(&ground.images[contradiction.image].name));
     }
@@ -93,7 +93,7 @@ pub fn adjust_scene<'a>(
 }
 
 impl AdjustedScene<'_> {
-    /// The residuals of every image, for a plot.
+    /// Residuals of each image, for a plot.
     pub fn vectors(&self) -> Vec<ImageVectors> {
         image_vectors(&self.ground, &self.adjustment)
     }
@@ -110,7 +110,7 @@ impl AdjustedScene<'_> {
         pair.images.map(|image| self.ground.images[image].name.as_str())
     }
 
-    /// For machines.
+    /// Content of `adjustment.json`.
     pub fn json(&self) -> Value {
         let images: Vec<Value> = self
             .images()
@@ -151,7 +151,7 @@ impl AdjustedScene<'_> {
         json
     }
 
-    /// For people.
+    /// Report in words.
     pub fn text(&self) -> String {
         let mut text = format!(
             "{} ties in {:.1} s, a good one is {:.2} px off in one direction\n\n{:<20} {:>16} {:>11} {:>15}\n",

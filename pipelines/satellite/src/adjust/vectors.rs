@@ -1,24 +1,24 @@
-//! The residuals of an adjustment, image by image, for a plot.
+//! Residuals of an adjustment, image by image, for a plot.
 
 use crate::ground::GroundViews;
 use heliosplat_rpc::adjust::{Adjustment, ImageResiduals, ResidualVector};
 
-/// One image's residuals.
+/// Residuals of one image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageVectors {
     /// Name of the image.
     pub name: String,
-    /// Its width, pixels.
+    /// Width of the image, pixels.
     pub width: usize,
-    /// Its height, pixels.
+    /// Height of the image, pixels.
     pub height: usize,
-    /// Their statistics.
+    /// Statistics of the residuals.
     pub residuals: ImageResiduals,
-    /// All of its residuals, with outliers.
+    /// All residuals, outliers included.
     pub vectors: Vec<ResidualVector>,
 }
 
-/// The residuals of every image of `ground`, in its order.
+/// Residuals of each image of `ground`, in its order.
 pub(super) fn image_vectors(ground: &GroundViews, adjustment: &Adjustment) -> Vec<ImageVectors> {
     let images = ground.images.iter().zip(&adjustment.images).enumerate();
     let of_image = |place: usize| {

@@ -11,10 +11,10 @@ use heliosplat_rpc::write::{gdal_domain, rpc_txt, satnerf_json_rpc};
 use heliosplat_scene::{Scene, SceneImage};
 use serde_json::{Value, json};
 
-/// Height kept below and above the scene's range where a camera is fitted anew, metres.
+/// Margin of heights below and above the scene's range where a camera is fitted anew, metres.
 const HEIGHT_MARGIN_M: f64 = 100.0;
 
-/// Writes each image's corrected camera; returns the largest error of fitting it as an RPC, pixels (0 for shifts).
+/// Writes the corrected camera of each image; returns the largest error of each fit as an RPC, pixels (0 for shifts).
 pub(super) fn cameras(
     scene: &Scene,
     ground: &GroundViews,
@@ -29,7 +29,7 @@ pub(super) fn cameras(
         let mut corrected = corrected_rpc(&image.window_rpc(), correction, size, heights_m).map_err(|error| {
             SatelliteError::Unwritable(format!("{}: its corrected camera: {error}", image.path.display()))
         })?;
-        // Back to the pixel coordinates of the file.
+        // Camera in pixels of the file.
         let (col0, row0) = (image.window.col0 as f64, image.window.row0 as f64);
         corrected.rpc = corrected.rpc.cropped(-col0, -row0);
         let text = rpc_txt(&corrected.rpc);
@@ -45,11 +45,11 @@ pub(super) fn cameras(
     Ok(refit_px)
 }
 
-/// The image's metadata in the form of Sat-NeRF: its own JSON with the corrected camera, or values from the scene.
+/// Metadata of an image as a Sat-NeRF JSON: the image's JSON with the corrected camera, or else values of the scene.
 fn description(scene: &Scene, image: &SceneImage, rpc: &Rpc) -> Value {
     let own = heliosplat_raster::bounded::read_text(&image.path.with_extension("json")).ok();
     let own = own.and_then(|text| serde_json::from_str::<Value>(&text).ok());
-    // The pixels read may be a window of the file.
+    // The pixels that were read may be a window of the file.
     let file = RasterFile::open(&image.path).map(|file| file.size());
     let (width, height) = file.unwrap_or((image.pixels.width, image.pixels.height));
     let mut json = own.filter(|own| own.get("rpc").is_some()).unwrap_or_else(|| {

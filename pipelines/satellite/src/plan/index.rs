@@ -1,20 +1,20 @@
-//! The vegetation index that the plane sweep compares, if there is one.
+//! Vegetation index that the plane sweep compares, if there is one.
 
 use heliosplat_scene::indices::VegetationIndex;
 use heliosplat_scene::{SceneImage, Values};
 
-/// Availability and kind of the images' vegetation index.
+/// Availability and kind of the vegetation index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Index {
-    /// Near infrared is missing, and at least one of red, green and blue.
+    /// No index: near infrared is missing, and at least one of red, green and blue.
     NoBands,
-    /// Values are for display.
+    /// No index: the values are for display.
     ForDisplay,
-    /// From counts.
+    /// Index of counts.
     Counts,
-    /// From reflectance.
+    /// Index of reflectance.
     Reflectance,
-    /// Excess green, without near infrared.
+    /// Excess green, where near infrared is missing.
     Green,
 }
 
@@ -44,7 +44,7 @@ impl Index {
         matches!(self, Self::Counts | Self::Reflectance | Self::Green)
     }
 
-    /// In words.
+    /// Availability of the index, in words.
     pub(super) fn reason(self) -> &'static str {
         match self {
             Self::NoBands => {

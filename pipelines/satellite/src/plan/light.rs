@@ -1,4 +1,4 @@
-//! Lighting of a model, from the suns of its images or their shadows, with reasons.
+//! Lighting of a model, from the suns or the shadows of its images, with reasons.
 
 use super::Facts;
 use heliosplat_radiometry::suns::ShadowSun;
@@ -11,16 +11,17 @@ const REMEDY: &str = "add acquisition times: .IMD, DIM_*.XML or .json files besi
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Lighting {
-    /// By the suns that are known; images without one are rendered as lit everywhere, in a colour of their own.
+    /// Lit by the known suns. Images without a sun are rendered as lit everywhere, each in its own colour.
     Known,
-    /// By the known suns, and for the other images by suns estimated from shadows on the swept surface; without any sun
-    /// then, not at all.
+    /// Lit by the known suns, and for the other images by suns estimated from shadows on the swept surface. Without any
+    /// sun after the estimate, the light is left out.
     FromShadows,
-    /// Not at all: no sun is known, and each image has a colour of its own.
+    /// Not lit: no sun is known, and each image has its own colour.
     LeftOut,
 }
 
 impl Facts {
+    /// Expected lighting of the model.
     pub(super) fn light(&self) -> Lighting {
         match self.suns == self.images {
             true => Lighting::Known,
@@ -28,7 +29,7 @@ impl Facts {
         }
     }
 
-    /// Expected lighting of the model, with the reason.
+    /// Expected lighting of the model, in words with the reason.
     pub(super) fn light_reason(&self) -> String {
         let &Self {
             images, dates, suns, ..
@@ -46,11 +47,11 @@ impl Facts {
     }
 }
 
-/// Share of images with known suns from which on the others are left out of training: their shadows would become dark
-/// ground (docs/lab/suns.md).
+/// Share of images with known suns at or above which the other images are left out of training: their shadows would
+/// become dark ground (docs/lab/suns.md).
 const SHARE_KNOWN: f64 = 0.75;
 
-/// True if images whose sun stays unknown are excluded from training.
+/// True if images whose sun stays unknown are left out of training.
 pub(super) fn only_known(suns: &[ImageSun]) -> bool {
     let known = suns.iter().filter(|sun| sun.position.is_some()).count();
     known < suns.len() && known as f64 >= SHARE_KNOWN * suns.len() as f64
@@ -93,7 +94,7 @@ pub(super) fn search_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>])
     text + " (" + REMEDY + ")"
 }
 
-/// The sun that came closest to being believed: it says why the others were not either.
+/// The rejected sun nearest to being decisive, in words: its figures show why the others were rejected too.
 fn closest_in_words(suns: &[ImageSun], searched: &[Option<ShadowSun>]) -> String {
     let undecided = suns.iter().zip(searched).filter(|(sun, _)| sun.position.is_none());
     let closest = undecided

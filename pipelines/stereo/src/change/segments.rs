@@ -15,8 +15,8 @@ const LEAST_M2: f32 = 16.0;
 /// Number of cells whose census distances amount to one independent observation: windows overlap, and objects span
 /// several cells.
 const CELLS_OF_ONE: f32 = 5.0;
-/// Logarithm of likelihood of a pair's census distance that is 1 less: the difference between agreement and chance over
-/// the variance of distances, 0.12 / 0.15².
+/// Log-likelihood gained per unit by which a pair's census distance is less: the difference between agreement and
+/// chance over the variance of distances, 0.12 / 0.15².
 const LIKELIHOOD_PER_DISTANCE: f32 = 5.3;
 /// Least log-likelihood ratio by matching: shadows identify the state of an image, not the existence of two states.
 const LEAST_MATCHED: f32 = 5.0;
@@ -36,21 +36,22 @@ const LEAST_SHARE: f32 = 0.45;
 /// Two states of some cells.
 #[derive(Debug, Clone, Copy)]
 pub struct States<'a> {
-    /// The cells.
+    /// Indices of the cells on the searched grid.
     pub cells: &'a BTreeSet<usize>,
-    /// Altitude of each in the old state and in the new one, metres.
+    /// Altitudes of each cell in the old state and in the new one, metres, in ascending order of the cells.
     pub altitudes_m: &'a [[f32; 2]],
     /// First day of the new state, days since 1970.
     pub day: i32,
 }
 
-/// The best surface of one side of a day.
+/// The best surface before a day, or from it on: agreement, in agreeing pairs, and altitude of each cell.
 pub(super) struct Side {
     gain: Vec<f32>,
     altitude_m: Vec<f32>,
 }
 
 impl Side {
+    /// No surface on `cells` cells.
     pub(super) fn unknown(cells: usize) -> Self {
         Self {
             gain: vec![f32::MIN; cells],
@@ -58,7 +59,7 @@ impl Side {
         }
     }
 
-    /// Replaces the surface where another agrees better.
+    /// Takes `altitude_m` (metres) at the cells where its `gain` (agreeing pairs) exceeds that of the surface so far.
     pub(super) fn consider(&mut self, gain: &[f32], altitude_m: &[f32]) {
         for cell in 0..gain.len() {
             if gain[cell] > self.gain[cell] {
@@ -93,12 +94,15 @@ impl Split {
 
 /// A segment on the cells on which change is searched.
 pub(super) struct CoarseSegment {
+    /// First day of the new state, days since 1970.
     pub(super) day: i32,
+    /// Indices of the cells on the searched grid.
     pub(super) cells: BTreeSet<usize>,
-    /// Altitude before and after of each of the cells, metres.
+    /// Altitudes of each cell before and after, metres, in ascending order of the cells.
     pub(super) altitudes_m: Vec<[f32; 2]>,
     /// Mean of the new altitudes less the old ones, metres.
     pub(super) difference_m: f32,
+    /// Probability that two surfaces explain the images better than one, 0.5 to 1.
     pub(super) confidence: f32,
 }
 

@@ -14,7 +14,7 @@ use heliosplat_grid::Grid;
 use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
 
-/// Most clouded views among the others, one in so many, in the estimate of the sunlit ground.
+/// The estimate of the sunlit ground allows for one clouded view in so many others.
 const VIEWS_PER_CLOUD: usize = 8;
 /// Standard deviations beyond which a value has no weight in the robust line (Beaton and Tukey 1974: 95 % efficient for
 /// normal errors).
@@ -25,16 +25,16 @@ const DEVIATION_OF_MEDIAN: f64 = 1.48;
 const ROUNDS: usize = 8;
 /// Least scale of the residuals, in units of the view's median: keeps weights finite where all values lie on the line.
 const LEAST_SCALE: f64 = 1e-6;
-/// Gains of the line are held to this range: beyond it the fit has followed a few extreme values.
+/// Range to which gains of the line are clamped: beyond it the fit has followed a few extreme values.
 const GAINS: [f64; 2] = [0.2, 5.0];
 /// Variance below which values do not determine a gain, in units of the view's median, squared.
 const LEAST_VARIANCE: f64 = 1e-9;
 /// Least distance below the first hit at which a point is hidden, metres.
 const HIDDEN_M: f32 = 1.0;
 
-/// Excess brightness of each view at each cell over the sunlit ground, relative to the mean of that ground and the
-/// view's median, in the band where it is least; NaN where the cell is hidden from the view or visible in too few
-/// others. Points more than `tolerance_m` below the first surface point of a view are hidden.
+/// Excess brightness over the sunlit ground, `[view][cell]`, relative to the mean of that ground and the view's median,
+/// in the band where it is least; NaN where the cell is hidden from the view or visible in too few others. Points more
+/// than `tolerance_m` below the first surface point of a view are hidden.
 pub(super) fn excess(
     views: &[SweepView],
     search: &Search,
@@ -93,7 +93,7 @@ struct InTheSun {
 }
 
 impl InTheSun {
-    /// From the values of all views that see the cell; their order changes.
+    /// Sunlit brightness from the values of all views that see the cell, which are sorted.
     fn of(known: &mut [f32]) -> Self {
         let others = known.len().saturating_sub(1);
         if others + 2 < FEWEST_VIEWS {

@@ -9,9 +9,13 @@ pub(super) const BLOCK: (usize, usize) = (16, 64);
 
 /// A rectangle of cells.
 pub(super) struct Block {
+    /// First row.
     pub(super) row0: usize,
+    /// Row behind the last one.
     pub(super) row1: usize,
+    /// First column.
     pub(super) col0: usize,
+    /// Column behind the last one.
     pub(super) col1: usize,
 }
 
@@ -34,7 +38,7 @@ impl Block {
         self.col1 = self.col1.max(other.col1);
     }
 
-    /// Calls with the index inside the block and the index on the grid of each cell.
+    /// Calls `each` with the index inside the block and the index on the grid of every cell, row by row.
     pub(super) fn cells(&self, grid: &Grid, mut each: impl FnMut(usize, usize)) {
         let mut k = 0;
         for row in self.row0..self.row1 {
@@ -45,7 +49,7 @@ impl Block {
         }
     }
 
-    /// The same with `margin` cells more on each side.
+    /// The block with `margin` more cells on each side.
     pub(super) fn wider(&self, margin: usize) -> WideBlock {
         WideBlock {
             row0: self.row0 as isize - margin as isize,
@@ -58,14 +62,18 @@ impl Block {
 
 /// A block with a margin, which may reach beyond the grid.
 pub(super) struct WideBlock {
+    /// First row on the grid; negative beyond its northern edge.
     pub(super) row0: isize,
+    /// First column on the grid; negative beyond its western edge.
     pub(super) col0: isize,
+    /// Number of columns.
     pub(super) width: usize,
+    /// Number of rows.
     pub(super) height: usize,
 }
 
 impl WideBlock {
-    /// The cell of the grid that is nearest to the block's cell in this column and row of it.
+    /// Index of the grid's cell that is nearest to the block's cell in column `col` and row `row`.
     pub(super) fn nearest(&self, col: usize, row: usize, grid: &Grid) -> usize {
         let held = |at: isize, count: usize| (at.max(0) as usize).min(count - 1);
         held(self.row0 + row as isize, grid.height) * grid.width + held(self.col0 + col as isize, grid.width)
@@ -74,7 +82,7 @@ impl WideBlock {
 
 /// Buffers for one block, reused from block to block.
 pub(super) struct Scratch {
-    /// A view's samples, and room for the rest of the last few.
+    /// Samples of one view, with room for a whole last group of `POINTS`.
     pub(super) values: Vec<f32>,
     /// Sampling positions.
     pub(super) places: Places,
@@ -84,9 +92,9 @@ pub(super) struct Scratch {
     pub(super) index_descriptors: Vec<Descriptors>,
     /// Largest differences that the census compares, cell by cell.
     pub(super) limits: Vec<f32>,
-    /// Weighted sums of the comparisons.
+    /// Weighted sums of the comparisons, cell by cell.
     pub(super) sum: Vec<u32>,
-    /// Sums of their weights.
+    /// Sums of the weights, cell by cell.
     pub(super) weights: Vec<u32>,
     /// The costs, 0 to 255.
     pub(super) cost: Vec<u8>,
@@ -112,8 +120,8 @@ impl Scratch {
         }
     }
 
-    /// Averages the costs of a block with its margin over the aggregation window; those of the block itself come first
-    /// afterwards.
+    /// Averages the costs of a block and its margin over the aggregation window of `radius` cells. Afterwards `cost`
+    /// begins with those of the block itself, row by row.
     pub(super) fn average(&mut self, block: &Block, radius: usize) {
         if radius == 0 {
             return;

@@ -1,8 +1,8 @@
 //! The weight of the no-match cost of each cell, so that hidden heights do not win by chance.
 //!
-//! It is a share of the weights of all comparisons between the views of the cell's own piece of ground, however many
-//! views the scene has elsewhere. Views count where they would show the middle of the search range: the weight must not
-//! depend on the height that is tested.
+//! It is a share of the weights of all comparisons between the views of the cell's own piece of ground, for any number
+//! of views elsewhere in the scene. Views count where they would show the middle of the search range: the weight must
+//! not depend on the height that is tested.
 
 use super::super::parameters::no_match_weight;
 use super::super::seen::pixel_of;
@@ -10,7 +10,7 @@ use super::MatchingCost;
 use rayon::prelude::*;
 
 impl MatchingCost<'_> {
-    /// The weight for each cell of the grid; at least 1.
+    /// Weight of the no-match cost of each cell of the grid, in the unit of the pairs' weights; at least 1.
     pub(super) fn no_match_weights(&self) -> Vec<u32> {
         let middle_m = self.heights.altitude(0.5 * (self.heights.levels - 1) as f32);
         let totals: Vec<u32> = self.pairs.iter().map(|pair| self.total_weight(pair)).collect();

@@ -25,12 +25,11 @@ const WINDOW: usize = 4;
 /// Cells of the request per cell on which [`coarse_shifts`] stops.
 const COARSE_FACTOR: usize = 4;
 
-/// Shifts (columns, rows in pixels) that make the views agree, good to a pixel or two, a start for [`super::ties`]:
-/// `camera.shifted(shift[0], shift[1])` is the corrected camera.
+/// Shift of each view (columns, rows; pixels) under which the views agree to a pixel or two, a start for
+/// [`super::ties`]: `camera.shifted(shift[0], shift[1])` is the corrected camera.
 ///
-/// The images do not determine a common translation of the scene in three dimensions, which stays that of the cameras:
-/// of all equivalent sets of shifts this is the smallest. With two views only the shift across their epipolar lines
-/// remains.
+/// The images do not determine a common translation of the scene in three dimensions, so the result is the smallest of
+/// all equivalent sets of shifts. With two views only the shift across their epipolar lines remains.
 pub fn coarse_shifts(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<[f32; 2]> {
     let mut moved = views.to_vec();
     let mut shifts = vec![DVec2::ZERO; views.len()];
@@ -195,7 +194,7 @@ fn jacobian(camera: &ProjectiveCamera, centre: Vec3) -> (DVec3, DVec3) {
     (u.as_dvec3(), v.as_dvec3())
 }
 
-/// Takes the best translation of the scene out of the shifts: the images cannot see it.
+/// Removes from the shifts the common translation of the scene, which the images do not determine.
 fn remove_translation(views: &[SweepView], centre: Vec3, shifts: &mut [DVec2]) {
     let slope = |view: &SweepView| {
         let (u, v) = jacobian(&view.camera, centre);

@@ -66,9 +66,9 @@ pub struct Sighting {
 /// A tie point: a point of the ground that several views show.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tie {
-    /// Its approximate position, metres in the frame of the cameras.
+    /// Approximate position of the point, metres in the frame of the cameras.
     pub near: Vec3,
-    /// Its positions in views; the reference comes first.
+    /// Positions of the point in two or more views; the reference comes first.
     pub sightings: Vec<Sighting>,
 }
 
@@ -77,12 +77,12 @@ pub struct Tie {
 pub struct TieOptions {
     /// Cells of the request per cell of the patches: 2 covers shifts of twice the size at half the precision.
     pub factor: usize,
-    /// Tiles of the ground: at most one tie point is found in each.
+    /// Approximate number of tiles of the ground: at most one tie point is found in each.
     pub tiles: usize,
 }
 
-/// Finds tie points between the views, whose cameras must agree to about `REACH` cells. The same for any number of
-/// threads.
+/// Finds tie points between the views, whose cameras must agree to about `REACH` cells of the patches. The result is
+/// the same for any number of threads.
 pub fn find_ties(views: &[SweepView], request: &PlaneSweepRequest, options: TieOptions) -> Vec<Tie> {
     let search = Search::new(views, request);
     let Some(found) = search.descend(SURFACE_FACTOR * options.factor, &|_| {}) else {

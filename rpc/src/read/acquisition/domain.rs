@@ -6,13 +6,14 @@ use crate::read::fields::number;
 use jiff::Timestamp;
 use std::collections::BTreeMap;
 
-/// From the items of GDAL's default, `IMD` and `IMAGERY` domains (together or apart): Maxar's IMD names with any
-/// prefix, DIMAP's, GeoEye's, NITF's (`NITF_USE00A_SUN_AZ`, `NITF_CSEXRA_SUN_AZIMUTH`, `NITF_STDIDC_ACQUISITION_DATE`,
-/// `NITF_IDATIM`), and `ACQUISITIONDATETIME`. `TIFFTAG_DATETIME` is when the file was written and is not read.
+/// Acquisition from the items of GDAL's default, `IMD` and `IMAGERY` domains (together or apart): Maxar's IMD names
+/// with any prefix, DIMAP's, GeoEye's, NITF's (`NITF_USE00A_SUN_AZ`, `NITF_CSEXRA_SUN_AZIMUTH`,
+/// `NITF_STDIDC_ACQUISITION_DATE`, `NITF_IDATIM`), and `ACQUISITIONDATETIME`. `TIFFTAG_DATETIME` is the time of writing
+/// and is not read.
 pub fn gdal_domain(items: &BTreeMap<String, String>) -> Acquisition {
     let items = Items::of(items);
     let angle = |names: &[&str]| names.iter().find_map(|name| number(items.get(name)?));
-    // The pairs stay pairs: an azimuth of one record does not go with an elevation of another.
+    // Angles are read in pairs: an azimuth of one record does not belong to an elevation of another.
     let pairs: [[&[&str]; 2]; 4] = [
         [&["meansunaz", "sunaz"], &["meansunel", "sunel"]],
         [

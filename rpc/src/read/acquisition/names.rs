@@ -12,8 +12,8 @@ const LAST_YEAR: i16 = 2099;
 /// Most digits of a compact time: milliseconds behind the seconds.
 const MOST_DIGITS: usize = 17;
 
-/// The acquisition time in the name of a vendor's file, UTC: the earliest where there are several. `None` where there
-/// is none; a date alone is none.
+/// The acquisition time in the name of a vendor's file, UTC: the earliest of several, `None` without any. A date alone
+/// is no time.
 ///
 /// | vendor | in the name |
 /// |---|---|
@@ -72,8 +72,8 @@ fn plausible(time: Timestamp) -> Option<Timestamp> {
     (FIRST_YEAR..=LAST_YEAR).contains(&year).then_some(time)
 }
 
-/// The date tag of a TIFF (tag 306, `YYYY:MM:DD hh:mm:ss`), taken as UTC. Many programs write the time of the file
-/// there.
+/// Time in the date tag of a TIFF (tag 306, `YYYY:MM:DD hh:mm:ss`), taken as UTC; `None` for another form or a year
+/// outside of 1999 to 2099. Many programs write the time of the file there.
 pub fn tiff_date(text: &str) -> Option<Timestamp> {
     let (date, time) = text.trim().trim_end_matches('\0').split_once(' ')?;
     let civil: DateTime = format!("{}T{}", date.replace(':', "-"), time.trim()).parse().ok()?;

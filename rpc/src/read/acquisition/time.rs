@@ -1,11 +1,11 @@
-//! Times as vendors write them. A date without a time is no time: the sun moves 15 degrees an hour.
+//! Times as vendors write them. A date without a time is refused: the sun moves 15 degrees an hour.
 
 use jiff::Timestamp;
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 
-/// RFC 3339 with or without a zone (UTC then), a blank for the `T`, `GMT` or `UTC` behind it, `YYYYMMDDhhmmss`, or
-/// NITF 2.0's `DDhhmmssZMONYY`.
+/// UTC time of a text: RFC 3339 with or without a zone (UTC then), with a blank for the `T`, with `GMT` or `UTC` behind
+/// it, `YYYYMMDDhhmmss`, or NITF 2.0's `DDhhmmssZMONYY`.
 pub(super) fn utc(text: &str) -> Option<Timestamp> {
     let text = text.trim().trim_end_matches(';').trim_matches('"').trim();
     if !text.is_ascii() {
@@ -27,7 +27,7 @@ pub(super) fn utc(text: &str) -> Option<Timestamp> {
     utc_of_civil(bare.trim_end())
 }
 
-/// A date and a time in two values, as DIMAP has them.
+/// UTC time of a date and a time in two values, as in DIMAP.
 pub(super) fn utc_of_date_and_time((date, time): (&str, &str)) -> Option<Timestamp> {
     utc(&format!("{}T{}", date.trim(), time.trim()))
 }

@@ -1,4 +1,4 @@
-//! Maxar's calibration: factors of each band from the IMD, the vendor's corrections and solar irradiances by satellite.
+//! Maxar's calibration: factors of each band from the IMD, with corrections and solar irradiances by satellite.
 
 use super::{CalibratedBand, Calibration, Gain, Quantity, Radiometry};
 use crate::read::fields::number;
@@ -26,7 +26,7 @@ const fn band(band: CalibratedBand, gain: f64, offset: f64, irradiance_w_m2_um: 
 use CalibratedBand::{Blue, Green, NearInfrared, Pan, Red};
 
 /// M. Kuester, "Absolute Radiometric Calibration: 2016v0", DigitalGlobe 2017 (release of 6 June 2017), by `satId`.
-/// Satellites that the note does not have (WorldView-4, Legion) give radiance.
+/// Satellites absent from the note (WorldView-4, Legion) are calibrated to radiance, without correction.
 const SATELLITES: [(&str, &[Band]); 5] = [
     ("WV01", &[band(Pan, 1.016, -1.824, 1478.62)]),
     (
@@ -80,9 +80,10 @@ const GROUPS: [(&str, CalibratedBand); 5] = [
     ("band_n", NearInfrared),
 ];
 
-/// From the items of an IMD by group and key, as GDAL's `IMD` domain has them (`BAND_R.absCalFactor`, `IMAGE_1.satId`).
-/// The factors are for unprocessed counts: after an adjustment of the dynamic range (DRA) values are for display, and
-/// after a compensation of the atmosphere they are no radiance.
+/// Radiometry from the items of an IMD by group and key, as in GDAL's `IMD` domain (`BAND_R.absCalFactor`,
+/// `IMAGE_1.satId`). The factors are for unprocessed counts: values after an adjustment of the dynamic range (DRA) are
+/// for display, and values after a radiometric enhancement such as a compensation of the atmosphere are no radiance
+/// (`None`).
 pub fn gdal_domain(items: &BTreeMap<String, String>) -> Option<Radiometry> {
     let items: BTreeMap<String, &str> = items
         .iter()

@@ -1,4 +1,4 @@
-//! A batch's mosaic, read back from its folder for `export`.
+//! Reader of a batch's mosaic for `export`.
 
 use crate::outcome::CliError;
 use heliosplat_batch::products::RUN;
@@ -29,10 +29,10 @@ struct Products {
     albedo_gains: Vec<Vec<f64>>,
 }
 
-/// Reads the mosaic in a folder; the runs of its tiles lie beside it.
+/// Reads the mosaic in a folder, and finds the runs of its tiles beside it.
 ///
 /// # Errors
-/// When the mosaic has no albedo, heights above a geoid, or a damaged file.
+/// When the mosaic has no albedo or coordinate reference system, its heights are above a geoid, or a file is damaged.
 pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
     let fault = |reason: &str| CliError::Input(format!("{}: {reason}", folder.display()));
     let path = folder.join(MOSAIC_FILE);
@@ -71,7 +71,7 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
     let mut gains = told.products.albedo_gains.into_iter();
     let mut tiles = Vec::new();
     for piece in told.pieces {
-        // Only a plain name: a file must not lead elsewhere.
+        // A plain name only: a damaged file must not lead to other folders.
         let name = piece.unit.rsplit('/').next().filter(|name| !name.starts_with('.'));
         let name = name.ok_or_else(|| fault("a tile has no name"))?;
         tiles.push(MosaicTile {

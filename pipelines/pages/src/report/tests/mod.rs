@@ -1,4 +1,4 @@
-//! Pages of hostile contents: every text from outside stays text, and nothing is fetched.
+//! Pages of hostile contents: input text is escaped, and nothing is loaded from the network.
 
 use super::*;
 use crate::view::{Layer, LightTable, Ramp};
@@ -110,7 +110,7 @@ fn what_comes_from_outside_stays_text_and_nothing_is_fetched() {
     let page = page_of_run(&contents(folder.path()));
     assert!(!page.contains("<img src=x"), "an image from outside");
     assert!(!page.contains("http") && !page.contains("<script") && !page.contains("src=\"views"));
-    // Heights, standard deviations, albedo and the four panels of the view; what is no picture is left out.
+    // Heights, standard deviations, albedo and the four panels of the view; a damaged picture is left out.
     assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 7);
     assert!(page.contains("held out") && page.matches("<polyline").count() == 5);
 }
@@ -241,7 +241,7 @@ fn the_page_of_a_mosaic_keeps_what_comes_from_outside_as_text_and_looks_nowhere_
     let path = mosaic::write(&folder).expect("a page");
     let page = std::fs::read_to_string(path).expect("readable");
     assert!(!page.contains("<img src=x") && !page.contains("<script") && !page.contains("http"));
-    // Heights under the borders of three tiles, and one date.
+    // Heights overlaid with the borders of three tiles, and one date.
     assert!(page.contains("<rect x=\"20\" y=\"0\" width=\"40\" height=\"40\""));
     assert_eq!(page.matches("<img src=\"data:image/jpeg;base64,").count(), 2);
     assert_eq!(page.matches("run/report.html").count(), 1);

@@ -6,7 +6,7 @@ use heliosplat::Raster;
 use heliosplat_raster::{Crs, GeoTransform, GridSpec};
 use heliosplat_rpc::sun::SunPosition;
 
-/// A number from 0 to 1 for a place, as irregular as a surface.
+/// Pseudorandom number from 0 to 1 for a cell.
 fn noise(col: usize, row: usize) -> f32 {
     let mixed = (col as u32)
         .wrapping_mul(0x9E37_79B9)
@@ -15,7 +15,7 @@ fn noise(col: usize, row: usize) -> f32 {
     (mixed ^ (mixed >> 12)) as f32 / u32::MAX as f32
 }
 
-/// Houses of 8 to 20 m every 40 cells on a slope, with 10 cm of noise; its corner is unknown.
+/// Houses of 8 to 20 m every 40 cells on a slope, with 10 cm of noise; one corner is unknown.
 fn town(width: usize, height: usize) -> Exhibit {
     let mut altitude = Raster::filled(width, height, 1, 0.0);
     let mut albedo = Raster::filled(width, height, 3, 0.0);

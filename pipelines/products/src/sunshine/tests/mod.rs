@@ -44,13 +44,13 @@ fn the_horizon_of_a_wall_is_its_height_over_its_distance_in_every_direction() {
         for distance_m in [12.0, 25.0] {
             let (col, row) = (80.5 - sin * distance_m * 2.0, 80.5 + cos * distance_m * 2.0);
             let got = f64::from(horizons[row.round() as usize * side + col.round() as usize]);
-            // To the tower's near face or corner, give or take the cell that looks.
+            // To the tower's near face or corner, give or take the cell of the viewpoint.
             assert!(
                 (20.0 / (distance_m - 0.5)..=20.0 / (distance_m - 3.3)).contains(&got),
                 "{azimuth_deg} {distance_m}: {got}"
             );
         }
-        // Behind the one who looks there is nothing.
+        // Behind the viewpoint there is nothing.
         let (col, row) = (80.5 + sin * 30.0, 80.5 - cos * 30.0);
         assert_eq!(horizons[row.round() as usize * side + col.round() as usize], 0.0);
     }
@@ -171,7 +171,7 @@ fn a_roof_toward_the_equator_gets_more_than_level_ground_in_winter_and_one_away_
     let roof = |rise: f32| raster(60, move |_, row| row as f32 * 0.5 * rise);
     let winter = day("2026-12-21");
     let at = |raster: &Raster| shone(raster, &winter).irradiation.values[30 * 60 + 30];
-    // Rows run south: what rises with them faces north.
+    // Rows run south: a surface that rises with them faces north.
     let (level, north, south) = (at(&roof(0.0)), at(&roof(0.5)), at(&roof(-0.5)));
     assert!(south > 1.5 * level && north < 0.5 * level, "{south} {level} {north}");
 }

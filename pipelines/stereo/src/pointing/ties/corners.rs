@@ -15,16 +15,17 @@ const ROW_STEP: usize = 5;
 /// A corner, and the view that shows it best.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Corner {
-    /// The reference.
+    /// Index of the reference view.
     pub(super) view: usize,
-    /// Column of the grid.
+    /// Column of the corner's cell on the grid.
     pub(super) col: usize,
-    /// Row of the grid.
+    /// Row of the corner's cell on the grid.
     pub(super) row: usize,
 }
 
-/// The sharpest corner of each of about `tiles` tiles. Views take turns as the reference, so that each has ties all
-/// over the ground; a view that does not show a tile is replaced by the next.
+/// The sharpest corner of each of about `tiles` tiles; `orthos` are the views on the cells of `grid`, NaN where
+/// missing. Views take turns as the reference, so that each has ties all over the ground; a view that does not show a
+/// tile is replaced by the next.
 pub(super) fn choose(grid: &Grid, orthos: &[Vec<f32>], tiles: usize) -> Vec<Corner> {
     let strengths: Vec<Vec<f32>> = orthos.par_iter().map(|values| strength(grid, values)).collect();
     let side = ((grid.len() as f64 / tiles.max(1) as f64).sqrt().round() as usize).max(LEAST_TILE);

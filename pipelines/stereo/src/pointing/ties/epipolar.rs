@@ -32,11 +32,11 @@ const JACOBIAN_PX: f64 = 8.0;
 const NEIGHBOURS: usize = 8;
 /// Least number of agreeing neighbours.
 const AGREEING: usize = 3;
-/// Neighbours agree within this, metres: a house.
+/// Tolerance between the altitudes of neighbours, metres: the height of a house.
 const AGREE_M: f64 = 15.0;
-/// Besides, per metre of distance: the slope of steep ground.
+/// Additional tolerance per metre of distance, metres: the slope of steep ground.
 const AGREE_SLOPE: f64 = 0.5;
-/// Besides, pixels of parallax.
+/// Additional tolerance, pixels of parallax.
 const AGREE_PX: f64 = 2.0;
 
 /// A window of an image, averaged down, and the rational camera of the whole image.
@@ -44,7 +44,7 @@ const AGREE_PX: f64 = 2.0;
 pub struct ReducedView<'a> {
     /// The camera, in the pixel coordinates of the file.
     pub rpc: &'a Rpc,
-    /// One band; `NaN` where nothing is known.
+    /// The averaged window, one band; NaN where values are missing.
     pub image: &'a Raster,
     /// Column and row of the file at which the window begins.
     pub first_px: [usize; 2],
@@ -53,7 +53,7 @@ pub struct ReducedView<'a> {
 }
 
 impl ReducedView<'_> {
-    /// The place in the file of a place in the reduced image; pixel centres are at integers in both.
+    /// Position in the file of a position in the reduced image; pixel centres are at integers in both.
     fn in_file(&self, at: Vector2<f64>) -> ImagePoint {
         let one = |value: f64, first: usize| first as f64 - 0.5 + (value + 0.5) * self.factor as f64;
         ImagePoint {
@@ -67,7 +67,8 @@ impl ReducedView<'_> {
         Vector2::new(one(at.col, self.first_px[0]), one(at.row, self.first_px[1]))
     }
 
-    /// Position in this view of a point at `at` in another, if it is at an altitude, metres above the ellipsoid.
+    /// Position in this view of the point that another view shows at `at`, for its altitude in metres above the
+    /// ellipsoid; `None` where the other camera cannot be inverted.
     fn place_of(&self, other: &Self, at: Vector2<f64>, altitude_m: f64) -> Option<Vector2<f64>> {
         let place = other.rpc.localise(other.in_file(at), altitude_m).ok()?;
         Some(self.reduced(self.rpc.project(place)))
@@ -86,9 +87,9 @@ pub struct EpipolarSearch {
     pub range_m: (f64, f64),
     /// Expected offset of matches across the epipolar line, pixels of the first image's file.
     pub across_px: f64,
-    /// Largest distance of the search from there, pixels of the first image's file.
+    /// Largest distance of the search from that offset, pixels of the first image's file.
     pub reach_px: f64,
-    /// Corners that are tried, about.
+    /// Approximate number of corners that are tried.
     pub corners: usize,
     /// Ground distance between pixels of the first image's file, metres.
     pub gsd_m: f64,
@@ -99,13 +100,15 @@ pub struct EpipolarSearch {
 pub struct TiedAltitudes {
     /// Altitude of each tie point, metres above the ellipsoid.
     pub altitudes_m: Vec<f64>,
-    /// Corners that were tried.
+    /// Number of corners that were tried.
     pub tried: usize,
-    /// Corners with a match, before the test of neighbours.
+    /// Number of corners with a match, before the test of neighbours.
     pub matched: usize,
-    /// Offset of the second image across the epipolar line, pixels of the first image's file.
+    /// Median offset of the second image across the epipolar line, pixels of the first image's file; the expected one
+    /// without a tie point.
     pub across_px: f64,
-    /// Altitude per pixel of parallax, metres: a few times the error of the altitudes.
+    /// Median altitude per pixel of parallax in the reduced first image, metres: a few times the error of the
+    /// altitudes. Infinite without a match.
     pub step_m: f64,
 }
 
@@ -118,7 +121,8 @@ struct Match {
     step_m: f64,
 }
 
-/// Matches corners of the first image in the second along their epipolar lines. The same for any number of threads.
+/// Altitudes of corners of the first image that match in the second along their epipolar lines. The result is the same
+/// for any number of threads.
 pub fn tied_altitudes(first: &ReducedView, second: &ReducedView, search: &EpipolarSearch) -> TiedAltitudes {
     let image = first.image;
     let grid = Grid {
@@ -162,11 +166,11 @@ struct EpipolarLine {
     jacobian: Matrix2<f64>,
     /// Shift along `u` per metre of altitude, pixels.
     px_per_m: f64,
-    /// Longest shift each way.
+    /// Longest shift along `u` each way, pixels.
     shifts: usize,
-    /// Longest shift across each way.
+    /// Longest shift along `v` each way, pixels.
     across: usize,
-    /// Start of the search across the line.
+    /// Shift along `v` around which the search is centred, pixels.
     offset: f64,
 }
 
@@ -268,13 +272,13 @@ const SIDE: usize = 2 * HALF as usize + 1;
 struct Strip {
     width: usize,
     values: Vec<f32>,
-    /// A value of the strip's own size: sums of squares about it keep their digits.
+    /// A value of the strip, subtracted before sums of squares are formed, so that they keep their precision in f32.
     about: f32,
     /// Shifts of a patch: columns, rows.
     shifts: (usize, usize),
 }
 
-/// The correlation at every shift; -1 where it is not known.
+/// The correlation at every shift; -1 where it is undefined.
 struct Scores {
     width: usize,
     values: Vec<f32>,
@@ -384,7 +388,8 @@ impl Scores {
         })
     }
 
-    /// Offset of the peak along the line, between pixels, by a parabola; `None` where its neighbours are not known.
+    /// Offset of the peak along the line, between pixels, by a parabola; `None` where the correlation of its neighbours
+    /// is undefined.
     fn refined(&self, (col, row): (usize, usize)) -> Option<f64> {
         let [before, here, after] = [col - 1, col, col + 1].map(|c| self.at(c, row));
         let known = before > -1.0 && after > -1.0;

@@ -3,10 +3,10 @@
 use super::{HALF, REACH};
 use heliosplat_grid::parabola_top;
 
-/// Half a region, cells: a patch shifted as far as it may be, and back.
+/// Half a region, cells: half a patch and twice the farthest shift, for the search and the search back.
 const EXTENT: isize = HALF + 2 * REACH;
 const SIDE: usize = 2 * EXTENT as usize + 1;
-/// Cells of a patch.
+/// Number of cells of a patch.
 pub(super) const CELLS: usize = ((2 * HALF + 1) * (2 * HALF + 1)) as usize;
 /// Least correlation at whole cells for a match to be refined.
 const LEAST_SCORE: f32 = 0.6;
@@ -19,25 +19,28 @@ const CLOSURE: isize = 1;
 /// Standard deviation below which a patch has no texture, as a share of its mean.
 pub(super) const LEAST_SPREAD: f32 = 5e-3;
 
-/// Samples of a view around a point; NaN where there are none.
+/// Samples of a view around a point of a tangent plane, `[row][column]`; NaN where missing.
 pub(super) struct Region {
     values: Vec<f32>,
 }
 
 /// A patch with zero mean and unit length.
 pub(super) struct Template {
+    /// Values, `[row][column]`.
     pub(super) values: [f32; CELLS],
 }
 
-/// Match of a patch: shift in cells (columns east, rows south) and correlation.
+/// Match of a patch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Match {
+    /// Shift, cells: columns east, rows south.
     pub(super) shift: [f32; 2],
+    /// Normalised cross-correlation, -1 to 1.
     pub(super) score: f32,
 }
 
 impl Region {
-    /// Samples a view at whole cells from the point.
+    /// Samples a view at whole cells around the point; `sample` takes columns east and rows south of it.
     pub(super) fn new(sample: impl Fn(isize, isize) -> f32) -> Self {
         let mut values = Vec::with_capacity(SIDE * SIDE);
         for row in -EXTENT..=EXTENT {
@@ -48,7 +51,7 @@ impl Region {
         Self { values }
     }
 
-    /// The value a whole number of cells from the point.
+    /// Value `col` cells east and `row` cells south of the point.
     pub(super) fn at(&self, col: isize, row: isize) -> f32 {
         self.values[((row + EXTENT) * SIDE as isize + col + EXTENT) as usize]
     }
@@ -58,7 +61,7 @@ impl Region {
         &self.values[start..start + 2 * HALF as usize + 1]
     }
 
-    /// The patch around a cell; `None` where values are missing or without texture.
+    /// The patch around a cell; `None` where values are missing or have no texture.
     pub(super) fn template(&self, col: isize, row: isize) -> Option<Template> {
         let mut values = [0.0; CELLS];
         for (r, line) in (-HALF..=HALF).zip(values.chunks_exact_mut(2 * HALF as usize + 1)) {
@@ -145,7 +148,8 @@ impl Peak {
     }
 }
 
-/// Finds the reference's patch in a region, and back from there; `None` without a distinct match that leads back.
+/// Match of the reference's patch in a region; `None` unless it is distinct and the search back from it ends within
+/// `CLOSURE` cells of the point.
 pub(super) fn find(reference: &Region, template: &Template, region: &Region) -> Option<Match> {
     let peak = region.best(template, 0, 0)?;
     if !peak.is_distinct() {
@@ -160,7 +164,8 @@ pub(super) fn find(reference: &Region, template: &Template, region: &Region) -> 
     })
 }
 
-/// Zero mean and unit length; `false` where values are missing or without texture.
+/// Scales `values` to zero mean and unit length; `false` where values are missing or have no texture (a spread of at
+/// most `LEAST_SPREAD` of the mean).
 pub(super) fn normalise(values: &mut [f32]) -> bool {
     let count = values.len() as f32;
     let mean = values.iter().sum::<f32>() / count;

@@ -11,8 +11,10 @@ const LAST_STEP: f64 = 5e-3;
 /// A refined shift may not leave the cell it started from.
 const FARTHEST: f64 = 1.0;
 
-/// Gauss-Newton on the shift of the sampled patch against the template. Both are normalised, so the slopes are
-/// projected perpendicular to the template: changes of brightness and contrast carry no information about the shift.
+/// Match refined by Gauss-Newton on the shift of the sampled patch against the template; `sample` takes columns east
+/// and rows south of the point, cells. `None` where values are missing or have no texture, or the shift moves by more
+/// than `FARTHEST`. Patch and template are normalised, so the slopes are projected perpendicular to the template:
+/// changes of brightness and contrast carry no information about the shift.
 pub(super) fn refine(
     reference: &Region,
     template: &Template,
