@@ -22,10 +22,21 @@ const CONTINUATION_STEPS: usize = 16;
 /// sound models have up to 1.4, models with a wrong fit 6 and more. Models whose scales are not those of their image
 /// have any span.
 const LARGEST_SPAN: f64 = 3.0;
-/// Largest relative change of the slope from the centre to a solution, for models with too large a span: at 1, the
-/// linear part of the model no longer describes it. The change is at most 0.09 over sound images at any scale, and 11
-/// over an image of a wrong fit.
-const LARGEST_BEND: f64 = 1.0;
+/// Largest relative change of the slope over the image of a model with too large a span: at most 0.09 over sound images,
+/// 7 and more over an image of a wrong fit.
+const LARGEST_BEND: f64 = 0.5;
+
+/// Border of the area between -1 and 1 each way.
+const BORDER: [(f64, f64); 8] = [
+    (-1.0, -1.0),
+    (0.0, -1.0),
+    (1.0, -1.0),
+    (-1.0, 0.0),
+    (1.0, 0.0),
+    (-1.0, 1.0),
+    (0.0, 1.0),
+    (1.0, 1.0),
+];
 
 /// One localisation: the model at one height, and the target image point.
 struct Problem<'a> {
@@ -78,20 +89,23 @@ impl Rpc {
         if !span.is_finite() {
             return Err(failure());
         }
+        // The scales of the image or those of the ground may be those of other pixels, so one of the two gives its extent.
+        let is_straight = |over: Matrix2<f64>| {
+            BORDER.iter().all(|&(x, y)| {
+                let slope = problem.evaluate(over * Vector2::new(x, y)).slope;
+                (inverse * slope - Matrix2::identity()).abs().max() < LARGEST_BEND
+            })
+        };
+        if span > LARGEST_SPAN && !is_straight(inverse) && !is_straight(Matrix2::identity()) {
+            return Err(RpcError::Inconsistent { span });
+        }
         let linear_start = inverse * (problem.target - centre.image);
         problem.longest = problem.longest.max(linear_start.norm() / 2.0);
         let solution = problem
             .newton(linear_start)
             .or_else(|| problem.continuation(centre.image))
-            .or_else(|| problem.grid_of_starts());
-        if span > LARGEST_SPAN {
-            let bend = |at| (inverse * problem.evaluate(at).slope - Matrix2::identity()).abs().max();
-            let is_straight = solution.is_some_and(|at| bend(at) < LARGEST_BEND);
-            if !is_straight {
-                return Err(RpcError::Inconsistent { span });
-            }
-        }
-        let solution = solution.ok_or_else(failure)?;
+            .or_else(|| problem.grid_of_starts())
+            .ok_or_else(failure)?;
         let ground = GeoPoint {
             lon_deg: wrapped_longitude_deg(solution.x * self.longitude_scale_deg + self.longitude_offset_deg),
             lat_deg: solution.y * self.latitude_scale_deg + self.latitude_offset_deg,

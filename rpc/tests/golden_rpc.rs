@@ -3,7 +3,7 @@
 mod common;
 
 use common::{distance_px, golden_camera, golden_rpcs, localisation_table, projection_table, shared};
-use heliosplat_rpc::{ImagePoint, RpcError};
+use heliosplat_rpc::RpcError;
 
 const PROJECTION_BAR_PX: f64 = 1e-9;
 const LOCALISATION_BAR_PX: f64 = 1e-8;
@@ -60,30 +60,18 @@ fn every_golden_rpc_projects_and_localises_within_the_bars() {
     assert_eq!(localised, 49);
 }
 
-/// A wrong fit is right near its centre, where it is nearly straight, and meaningless in the corners of its image.
 #[test]
-fn a_model_that_contradicts_its_own_scales_is_a_clear_error_where_it_bends() {
+fn a_model_that_contradicts_its_own_scales_is_a_clear_error_when_localised() {
     let Some(shared) = shared() else { return };
     let golden = common::golden(&shared, NOT_LOCALISABLE);
     let rpc = golden_camera(&golden);
-    let corners = [(0.0, 0.0), (10_147.0, 0.0), (0.0, 7_279.0), (10_147.0, 7_279.0)]
-        .map(|(col, row)| rpc.localise(ImagePoint { col, row }, rpc.height_offset_m));
-    for corner in corners {
-        match corner {
+    for (image, truth) in localisation_table(&golden) {
+        match rpc.localise(image, truth.height_m) {
             Err(error @ RpcError::Inconsistent { span }) => {
                 assert!(span > 3.0);
                 assert!(error.to_string().contains("refitted RPC"), "{error}");
             }
             other => panic!("expected the inconsistency to be named, got {other:?}"),
-        }
-    }
-    for (image, truth) in localisation_table(&golden) {
-        match rpc.localise(image, truth.height_m) {
-            Ok(ground) => assert!(
-                distance_px(rpc.project(ground), rpc.project(truth)) < 1e-3,
-                "{ground:?}"
-            ),
-            Err(error) => assert!(matches!(error, RpcError::Inconsistent { .. }), "{error}"),
         }
     }
 }
