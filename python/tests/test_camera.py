@@ -95,7 +95,7 @@ def test_a_million_points_take_a_tenth_of_rpcm_s_time():
     ):
         mine, its = seconds(ours), seconds(other)
         print(f"\n{1e6 / mine:.3g} points/s, rpcm {1e6 / its:.3g}: {its / mine:.1f} times as fast")
-        assert its > 5.0 * mine
+        assert its > 10.0 * mine
 
 
 def test_numbers_give_numbers_and_arrays_are_broadcast():

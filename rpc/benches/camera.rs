@@ -1,4 +1,4 @@
-//! A rational camera, point by point, on one thread.
+//! A rational camera, point by point and in batches, on one thread.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
@@ -29,6 +29,9 @@ fn points(criterion: &mut Criterion) {
                 .count()
         });
     });
+    group.bench_function("project_all", |b| b.iter(|| rpc.project_all(&ground)));
+    let heights = vec![700.0; POINTS];
+    group.bench_function("localise_all", |b| b.iter(|| rpc.localise_all(&image, &heights)));
     group.finish();
 }
 

@@ -66,6 +66,7 @@
 //! # Limits
 //! RPC00B with two denominators; no rigorous sensor models, no datums besides WGS 84, no geoid.
 
+mod batch;
 mod localise;
 mod polynomial;
 

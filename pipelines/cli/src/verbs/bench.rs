@@ -21,7 +21,9 @@ const SPREAD: f32 = 0.6;
 const CHANNELS: usize = 4;
 /// Number of points in one measurement of a camera.
 const POINTS: usize = 1_000_000;
-/// Least time in which one rate is measured.
+/// Points per parallel job.
+const BLOCK: usize = 4096;
+/// Least time for the measurement of one rate.
 const PATIENCE: Duration = Duration::from_secs(4);
 
 /// Seconds of the fastest of several runs, which other work on the machine disturbed least; a first run is not timed.
@@ -52,12 +54,14 @@ fn camera_rates() -> (f64, f64) {
     };
     let ground: Vec<GeoPoint> = (0..POINTS).map(ground).collect();
     let image: Vec<ImagePoint> = (0..POINTS).map(image).collect();
-    let project = seconds(|| ground.par_iter().map(|&point| rpc.project(point)).collect::<Vec<_>>());
-    let localise = seconds(|| {
-        image
-            .par_iter()
-            .map(|&point| rpc.localise(point, 700.0).ok())
-            .collect::<Vec<_>>()
+    let level = vec![700.0; POINTS];
+    let project =
+        seconds(|| -> Vec<Vec<ImagePoint>> { ground.par_chunks(BLOCK).map(|block| rpc.project_all(block)).collect() });
+    let localise = seconds(|| -> Vec<Vec<Option<GeoPoint>>> {
+        let blocks = image.par_chunks(BLOCK).zip(level.par_chunks(BLOCK));
+        blocks
+            .map(|(points, heights)| rpc.localise_all(points, heights))
+            .collect()
     });
     (POINTS as f64 / project, POINTS as f64 / localise)
 }
