@@ -15,9 +15,9 @@ use tempfile::tempdir;
 const SCENES: u64 = 40;
 /// Share of the known cells that may be wrong by more than four stated deviations.
 const WRONG: f64 = 0.02;
-/// Most scenes, of all, that are silently wrong: 11 of the first 40. Too few tie points are no warning of a fault, since
+/// Most scenes, of all, that are silently wrong: 5 of the first 40, 40 of 300 from seed 5000. Too few tie points are no warning of a fault, since
 /// most scenes of this size have too few.
-const SILENT: f64 = 0.3;
+const SILENT: f64 = 0.2;
 /// Fewer known cells are too few for a share.
 const FEWEST: usize = 100;
 
@@ -71,7 +71,7 @@ fn few_scenes_are_silently_wrong() {
 }
 
 /// Least shares of errors within one, two and four deviations, at any angle; normal errors have 0.68, 0.95 and 1.
-const WITHIN: [f64; 3] = [0.52, 0.76, 0.95];
+const WITHIN: [f64; 3] = [0.6, 0.88, 0.97];
 /// Angle below which two images have no base, degrees: its tangent is 0.02.
 const NO_BASE_DEG: f64 = 1.1;
 /// Terrains of one angle.
