@@ -1058,6 +1058,30 @@ fn a_mirrored_camera_is_left_out_of_tiles_too() {
     assert!(named.len() == 1 && said.contains(" tiles ("), "{said}");
 }
 
+/// Four like views: ties are found between swapped cameras too, and only their residual shows the contradiction.
+#[test]
+fn swapped_cameras_of_like_views_are_warned_of_by_the_residual_of_their_ties() {
+    let home = tempdir().expect("a temporary folder");
+    let scene = home.path().join("scene");
+    let word = scene.display().to_string();
+    let words = "synth satellite --site tiny --seed 5 --views 4 --out";
+    json(&words.split(' ').chain([word.as_str()]).collect::<Vec<_>>());
+    let out = home.path().join("dsm.tif").display().to_string();
+    let is_warned = || {
+        let arguments = ["dsm", &word, "--from", "sweep", "--rpc", "json", "--out", &out];
+        let output = heliosplat(&arguments).assert().success();
+        String::from_utf8_lossy(&output.get_output().stderr).contains("check that each image has its own camera")
+    };
+    assert!(!is_warned());
+    let [first, second] = ["00", "03"].map(|number| scene.join(format!("tiny_005_{number}.json")));
+    let read = |path: &Path| -> Value { serde_json::from_slice(&fs::read(path).expect("text")).expect("JSON") };
+    let [mut a, mut b] = [read(&first), read(&second)];
+    std::mem::swap(&mut a["rpc"], &mut b["rpc"]);
+    fs::write(&first, a.to_string()).expect("written");
+    fs::write(&second, b.to_string()).expect("written");
+    assert!(is_warned());
+}
+
 #[test]
 fn a_database_of_proj_that_is_not_there_is_said_by_inspect() {
     let home = tempdir().expect("a temporary folder");
