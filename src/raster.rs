@@ -56,6 +56,36 @@ impl Raster {
         self.values[(band * self.height + row) * self.width + col]
     }
 
+    /// Part of `width` by `height` pixels that begins at a column and a row, all of it within the raster.
+    #[must_use]
+    pub fn part(&self, (col0, row0): (usize, usize), (width, height): (usize, usize)) -> Self {
+        let mut values = Vec::with_capacity(width * height * self.bands);
+        for band in 0..self.bands {
+            for row in row0..row0 + height {
+                let first = (band * self.height + row) * self.width + col0;
+                values.extend_from_slice(&self.values[first..first + width]);
+            }
+        }
+        Self {
+            width,
+            height,
+            bands: self.bands,
+            values,
+        }
+    }
+
+    /// Copies another raster with as many bands to a column and a row; what lies beyond the edges is left out.
+    pub fn put(&mut self, part: &Self, (col0, row0): (usize, usize)) {
+        let width = part.width.min(self.width.saturating_sub(col0));
+        for band in 0..self.bands.min(part.bands) {
+            for row in 0..part.height.min(self.height.saturating_sub(row0)) {
+                let to = (band * self.height + row0 + row) * self.width + col0;
+                let from = (band * part.height + row) * part.width;
+                self.values[to..to + width].copy_from_slice(&part.values[from..from + width]);
+            }
+        }
+    }
+
     /// Means over blocks of `factor × factor` pixels, of the finite values; NaN where a block has none. Pixels at the
     /// right and lower edge that fill no block are dropped.
     pub fn downscaled(&self, factor: usize) -> Self {

@@ -182,6 +182,111 @@ fn a_batch_that_is_killed_again_and_again_ends_with_the_same_bytes() {
     assert_same(&undisturbed, &products(&home.path().join("killed")));
 }
 
+/// Blocks have the values of a mosaic in one piece; what an earlier mosaic left is gone.
+#[test]
+fn the_blocks_of_a_mosaic_have_the_values_of_one_piece() {
+    let home = home(FOUR_TILES);
+    json(&batch(home.path(), "out", &["--jobs", "2"]));
+    let of_preset = home.path().join("out/all/first/quick");
+    let (joined, one) = (of_preset.join("mosaic"), home.path().join("one"));
+    std::fs::rename(&joined, &one).expect("moved");
+    let small = FOUR_TILES.replace("[tiles]", "[tiles]\nblock = 64");
+    std::fs::write(home.path().join("batch.toml"), small).expect("written");
+    let done = json(&batch(home.path(), "out", &["--jobs", "2"]));
+    assert_eq!(
+        (done["failed"].as_u64(), done["skipped"].as_u64()),
+        (Some(0), Some(5)),
+        "the tiles are kept"
+    );
+    let read = |path: &Path| {
+        let file = Dataset::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let bands = 1..=file.raster_count();
+        let values = bands.flat_map(|band| {
+            let band = file.rasterband(band).expect("a band");
+            band.read_as::<f32>((0, 0), file.raster_size(), file.raster_size(), None)
+                .expect("pixels")
+                .data()
+                .to_vec()
+        });
+        (
+            file.raster_size(),
+            file.geo_transform().expect("a place"),
+            values.collect::<Vec<f32>>(),
+        )
+    };
+    let mut compared = 0;
+    for (name, far_m) in [
+        ("dsm", 0.0),
+        ("dsm_stddev", 0.0),
+        ("dsm_views", 0.0),
+        ("albedo", 0.0),
+        ("relit", 0.0),
+        ("relit_shadow", 0.0),
+        ("hillshade", 0.0),
+        ("dtm", 0.1),
+        ("sun_hours", 0.02),
+    ] {
+        let (whole, blocks) = (
+            read(&one.join(format!("{name}.tif"))),
+            read(&joined.join(format!("{name}.vrt"))),
+        );
+        assert!(
+            whole.0 == blocks.0 && whole.1 == blocks.1,
+            "{name}: {:?} {:?}",
+            whole.1,
+            blocks.1
+        );
+        let apart = whole
+            .2
+            .iter()
+            .zip(&blocks.2)
+            .filter(|(a, b)| (*a - *b).abs() > far_m)
+            .count();
+        assert!(apart == 0, "{name}: {apart} of {} cells differ", whole.2.len());
+        assert!(whole.2.iter().any(|value| *value > -9999.0), "{name}");
+        compared += 1;
+    }
+    assert_eq!(compared, 9);
+    assert!(!joined.join("dsm.tif").exists() && joined.join("overview/dsm.tif").is_file());
+    let count = |file: &Path| {
+        las::Reader::from_path(file)
+            .expect("a LAZ file")
+            .header()
+            .number_of_points()
+    };
+    let folders = std::fs::read_dir(&of_preset)
+        .expect("listable")
+        .flatten()
+        .map(|entry| entry.path());
+    let blocks: Vec<PathBuf> = folders
+        .filter(|path| path.to_string_lossy().contains("block-r"))
+        .collect();
+    assert!(blocks.len() >= 4, "{blocks:?}");
+    let points: u64 = blocks.iter().map(|block| count(&block.join("points.laz"))).sum();
+    assert_eq!(points, count(&one.join("points.laz")));
+    // The tileset over the blocks names theirs.
+    let tileset = read_json(&joined.join("splats/tileset.json"));
+    for child in tileset["root"]["children"].as_array().expect("children") {
+        let uri = child["content"]["uri"].as_str().expect("an address");
+        assert!(joined.join("splats").join(uri).is_file(), "{uri}");
+    }
+    let page = std::fs::read_to_string(joined.join("report.html")).expect("a page");
+    assert!(
+        page.contains("../block-r0c0/report.html")
+            && page.contains("dsm.vrt")
+            && page.contains("Tile-edge consistency")
+    );
+    assert!(joined.join("sun.html").is_file());
+    // In one piece again, nothing of the blocks is left in the folder.
+    std::fs::write(home.path().join("batch.toml"), FOUR_TILES).expect("written");
+    json(&batch(home.path(), "out", &[]));
+    assert!(!joined.join("dsm.vrt").exists() && !joined.join("overview").exists());
+    assert_eq!(
+        std::fs::read(joined.join("dsm.tif")).expect("bytes"),
+        std::fs::read(one.join("dsm.tif")).expect("bytes")
+    );
+}
+
 /// The mosaic has all products on one grid, they are those of its tiles, and its item and its page name them.
 fn products_of_the_mosaic(out: &Path) {
     let home = out.join("all/first/quick");

@@ -1,14 +1,11 @@
 //! Rasters other than the surface model, merged from tiles with the blending weights of their surface models. Tiles
 //! that show another surface at a cell have no weight there.
-//!
-//! A model determines its colours up to one gain per band. Before albedos are merged, each tile is multiplied by the
-//! gains that minimise the differences in the overlaps.
 
 use super::BatchError;
+use super::mosaic::Parts;
 use heliosplat::Raster;
 use heliosplat_grid::statistics::upper_median;
 use heliosplat_products::blend::{Piece, in_row, one_surface};
-use heliosplat_raster::{RasterError, RasterFile};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -18,10 +15,6 @@ const COMPARED: isize = 300;
 const LEAST_CELLS: usize = 50;
 /// Colours at or below this value give no ratio.
 const DARK: f32 = 1e-4;
-/// Fraction of the initial squared residual at which the solver stops: 1e-10 of the initial residual.
-const SETTLED: f64 = 1e-20;
-/// Most steps of the solver per tile; without rounding errors, one step per tile suffices.
-const MOST_STEPS_PER_TILE: usize = 4;
 
 /// One raster of each tile, in the order of the pieces; `None` for tiles without it.
 pub struct Layer {
@@ -44,24 +37,20 @@ impl Layer {
     ///
     /// # Errors
     /// When a file is damaged or not on the grid of its tile's surface model.
-    pub fn read(out: &Path, pieces: &[Piece], name: &str) -> Result<Self, BatchError> {
-        let read = |piece: &Piece| -> Result<Option<Raster>, BatchError> {
-            let path = out.join(&piece.unit).join(name);
-            if !path.is_file() {
-                return Ok(None);
+    pub fn read(out: &Path, parts: &Parts, name: &str) -> Result<Self, BatchError> {
+        Ok(Self {
+            rasters: parts.rasters(out, name)?,
+        })
+    }
+
+    /// Multiplies every band of every tile by its gain; missing gains are 1.
+    pub fn scale(&mut self, gains: &[Vec<f64>]) {
+        for (raster, gains) in self.rasters.iter_mut().zip(gains) {
+            let Some(raster) = raster else { continue };
+            for (band, &gain) in gains.iter().enumerate().take(raster.bands) {
+                raster.plane_mut(band).iter_mut().for_each(|v| *v *= gain as f32);
             }
-            let raster = RasterFile::open(&path)?.read_all()?;
-            if (raster.width, raster.height) != (piece.raster.width, piece.raster.height) {
-                return Err(RasterError::Damaged {
-                    path,
-                    reason: "it is not on the grid of its surface model".into(),
-                }
-                .into());
-            }
-            Ok(Some(raster))
-        };
-        let rasters = pieces.iter().map(read).collect::<Result<_, _>>()?;
-        Ok(Self { rasters })
+        }
     }
 
     /// Number of bands that all rasters have; 0 without rasters.
@@ -79,57 +68,33 @@ impl Layer {
         raster.map_or(f32::NAN, |raster| pieces[index].value_of(raster, band, col, row))
     }
 
-    /// Multiplies every band of every tile by the gain with which overlapping tiles agree best, and returns the gains
-    /// by tile and band. Their geometric mean over the tiles is 1 for each band.
-    pub fn balance(&mut self, pieces: &[Piece], gsd_m: f32) -> Vec<Vec<f64>> {
-        let bands = self.bands();
-        let mut gains = vec![vec![1.0; bands]; self.rasters.len()];
-        for band in 0..bands {
-            let ratios = self.ratios(pieces, band, gsd_m);
-            let logs = balanced_gains(&ratios, self.rasters.len());
-            for (raster, (log, gain)) in self.rasters.iter_mut().zip(logs.iter().zip(&mut gains)) {
-                gain[band] = log.exp();
-                let Some(raster) = raster else { continue };
-                raster.plane_mut(band).iter_mut().for_each(|v| *v *= gain[band] as f32);
-            }
-        }
-        gains
-    }
-
-    /// Ratios of a band in the overlaps of tiles, over cells where both tiles show one surface: indices of the two
-    /// tiles, median of the natural logarithm of first over second, number of cells.
-    fn ratios(&self, pieces: &[Piece], band: usize, gsd_m: f32) -> Vec<(usize, usize, f64, usize)> {
-        let span = |a: usize, b: usize, axis: usize| {
-            let (p, q) = (pieces[a].bounds[axis], pieces[b].bounds[axis]);
+    /// Median ratio of each band of the first two tiles in their overlap, over cells where both show one surface:
+    /// natural logarithm of first over second, and number of cells; `None` where too few cells are known.
+    pub(super) fn ratios(&self, pieces: &[Piece], gsd_m: f32) -> Vec<Option<(f64, usize)>> {
+        let [columns, rows] = [0, 1].map(|axis| {
+            let (p, q) = (pieces[0].bounds[axis], pieces[1].bounds[axis]);
             (p[0].max(q[0]), p[1].min(q[1]))
-        };
-        let overlap = |a: usize, b: usize| [0, 1].into_iter().all(|axis| span(a, b, axis).0 < span(a, b, axis).1);
-        let after = |a: usize| (a + 1..pieces.len()).map(move |b| (a, b));
-        let pairs: Vec<(usize, usize)> = (0..pieces.len())
-            .flat_map(after)
-            .filter(|&(a, b)| overlap(a, b))
-            .collect();
-        let told = pairs.into_par_iter().filter_map(|(a, b)| {
-            let ((left, right), (top, bottom)) = (span(a, b, 0), span(a, b, 1));
-            let step = |from: isize, to: isize| ((to - from) / COMPARED).max(1) as usize;
-            let mut logs = Vec::new();
-            let mut said = Vec::new();
-            for row in (top..bottom).step_by(step(top, bottom)) {
-                for col in (left..right).step_by(step(left, right)) {
-                    one_surface(&mut said, (pieces, &[a, b]), (col, row), gsd_m);
-                    let [p, q] = [a, b].map(|index| self.value(pieces, index, band, (col, row)));
+        });
+        let step = |(from, to): (isize, isize)| ((to - from) / COMPARED).max(1) as usize;
+        let mut said = Vec::new();
+        let mut logs = vec![Vec::new(); self.bands()];
+        for row in (rows.0..rows.1).step_by(step(rows)) {
+            for col in (columns.0..columns.1).step_by(step(columns)) {
+                one_surface(&mut said, (pieces, &[0, 1]), (col, row), gsd_m);
+                for (band, logs) in logs.iter_mut().enumerate() {
+                    let [p, q] = [0, 1].map(|index| self.value(pieces, index, band, (col, row)));
                     if said.len() == 2 && p > DARK && q > DARK {
                         logs.push(f64::from(p / q).ln());
                     }
                 }
             }
-            if logs.len() < LEAST_CELLS {
-                return None;
-            }
+        }
+        let of = |mut logs: Vec<f64>| {
             let cells = logs.len();
-            Some((a, b, upper_median(&mut logs)?, cells))
-        });
-        told.collect()
+            let median = upper_median(&mut logs).filter(|_| cells >= LEAST_CELLS)?;
+            Some((median, cells))
+        };
+        logs.into_iter().map(of).collect()
     }
 
     /// Raster of `width` by `height` cells, merged from all tiles; NaN at cells without a value.
@@ -171,44 +136,6 @@ impl Layer {
     }
 }
 
-/// Natural logarithms of the gains of tiles: least-squares solution of `x_a - x_b = -log(a / b)` over the compared
-/// cells, by conjugate gradients (Hestenes and Stiefel 1952). The solver starts at zero, so that the mean over each
-/// connected group of overlapping tiles stays zero.
-fn balanced_gains(ratios: &[(usize, usize, f64, usize)], count: usize) -> Vec<f64> {
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let mut logs = vec![0.0; count];
-    let mut residual = vec![0.0; count];
-    for &(a, b, log, cells) in ratios {
-        residual[a] -= cells as f64 * log;
-        residual[b] += cells as f64 * log;
-    }
-    let mut direction = residual.clone();
-    let mut size = dot(&residual, &residual);
-    let small = SETTLED * size;
-    for _ in 0..MOST_STEPS_PER_TILE * count {
-        if size <= small {
-            break;
-        }
-        let mut image = vec![0.0; count];
-        for &(a, b, _, cells) in ratios {
-            let flow = cells as f64 * (direction[a] - direction[b]);
-            image[a] += flow;
-            image[b] -= flow;
-        }
-        let step = size / dot(&direction, &image);
-        for k in 0..count {
-            logs[k] += step * direction[k];
-            residual[k] -= step * image[k];
-        }
-        let next = dot(&residual, &residual);
-        for (direction, residual) in direction.iter_mut().zip(&residual) {
-            *direction = residual + next / size * *direction;
-        }
-        size = next;
-    }
-    logs
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -235,29 +162,12 @@ mod tests {
     #[test]
     fn colours_of_tiles_with_other_gains_meet_without_a_seam() {
         let (pieces, mut layer) = pair([0.2, 0.4]);
-        let gains = layer.balance(&pieces, 0.5);
-        assert!((gains[0][0] - 2f64.sqrt()).abs() < 1e-6 && (gains[0][0] * gains[1][0] - 1.0).abs() < 1e-9);
+        let (log, cells) = layer.ratios(&pieces, 0.5)[0].expect("common cells");
+        assert!((log - 0.5f64.ln()).abs() < 1e-6 && cells == 400);
+        layer.scale(&[vec![2f64.sqrt()], vec![0.5f64.sqrt()]]);
         let merged = layer.merged(&pieces, (40, 20), 0.5, Merge::Mean);
         let expected = 0.2 * 2f32.sqrt();
         assert!(merged.values.iter().all(|v| (v - expected).abs() < 1e-5));
-    }
-
-    #[test]
-    fn gains_of_ten_thousand_tiles_are_found() {
-        const SIDE: usize = 100;
-        // A slope across the area and a ripple: the lowest and the highest spatial frequency of the gains.
-        let gain = |k: usize| 0.01 * (k % SIDE) as f64 - 0.02 * (k / SIDE) as f64 + 0.1 * ((7 * k) % 11) as f64;
-        let mean = (0..SIDE * SIDE).map(gain).sum::<f64>() / (SIDE * SIDE) as f64;
-        let mut ratios = Vec::new();
-        for k in 0..SIDE * SIDE {
-            let pairs = [(k % SIDE + 1 < SIDE, k + 1, 2000), (k / SIDE + 1 < SIDE, k + SIDE, 90)];
-            let there = pairs.into_iter().filter(|(there, ..)| *there);
-            ratios.extend(there.map(|(_, other, cells)| (k, other, gain(other) - gain(k), cells)));
-        }
-        let found = balanced_gains(&ratios, SIDE * SIDE);
-        for (k, found) in found.iter().enumerate() {
-            assert!((found - (gain(k) - mean)).abs() < 1e-6, "{k}: {found}");
-        }
     }
 
     #[test]
@@ -279,6 +189,6 @@ mod tests {
         let merged = layer.merged(&pieces, (40, 20), 0.5, Merge::Majority);
         assert_eq!(merged.at(0, 12, 5), 0.0, "what the other says");
         assert!(merged.at(0, 2, 5).is_nan(), "what none says");
-        assert!(layer.balance(&pieces, 0.5).iter().flatten().all(|gain| *gain == 1.0));
+        assert_eq!(layer.ratios(&pieces, 0.5), [None]);
     }
 }

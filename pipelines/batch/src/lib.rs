@@ -5,7 +5,10 @@
 //! own; it writes its stamp (`unit.json`) last. A finished unit is recognised by its stamp, an interrupted one resumes
 //! from its checkpoint, and the same command resumes a batch that was killed.
 
+mod blocks;
+mod colours;
 pub mod driver;
+mod joined;
 pub mod layers;
 pub mod manifest;
 pub mod mosaic;

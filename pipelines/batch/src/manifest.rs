@@ -1,6 +1,7 @@
 //! Manifest of a batch: areas, sets of images, presets.
 
 use super::BatchError;
+use super::blocks::SIDE_LEAST;
 use bytesize::ByteSize;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight::LOWEST_SUN_DEG;
@@ -15,6 +16,8 @@ use std::path::{Path, PathBuf};
 
 /// Least side of a tile's core, metres: of a smaller tile, the overlap would be the largest part.
 pub(super) const LEAST_SIDE_M: f64 = 24.0;
+/// Sides of the blocks of a mosaic, cells.
+const BLOCK_CELLS: std::ops::RangeInclusive<usize> = SIDE_LEAST..=65_536;
 /// Most characters in the name of an area, a set of images or a preset.
 const LONGEST_NAME: usize = 64;
 /// Prefixes of the object stores that products may be copied to. Paths on disk are refused: a batch writes only to its
@@ -66,6 +69,8 @@ pub struct TileOptions {
     pub residual_px: f64,
     /// Width of a cell of the mosaic, metres; absent: ground sampling distance of the images, in whole centimetres.
     pub gsd_m: Option<f64>,
+    /// Largest side of a block of the mosaic, cells; smaller if `memory` does not suffice.
+    pub block: usize,
 }
 
 impl Default for TileOptions {
@@ -76,6 +81,7 @@ impl Default for TileOptions {
             side_m: None,
             residual_px: 0.05,
             gsd_m: None,
+            block: 4096,
         }
     }
 }
@@ -305,6 +311,13 @@ impl Manifest {
         }
         if let Some(side_m) = tiles.side_m.filter(|side_m| !(LEAST_SIDE_M..=1e6).contains(side_m)) {
             return Err(format!("tiles.side_m is {side_m}, expected {LEAST_SIDE_M} m or more"));
+        }
+        if !BLOCK_CELLS.contains(&tiles.block) {
+            let [least, most] = [BLOCK_CELLS.start(), BLOCK_CELLS.end()];
+            return Err(format!(
+                "tiles.block is {}, expected {least} to {most} cells",
+                tiles.block
+            ));
         }
         if let Some([azimuth, elevation]) = self.products.sun
             && (SunPosition::stated(azimuth, elevation).is_err() || elevation < LOWEST_SUN_DEG)

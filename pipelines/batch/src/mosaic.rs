@@ -1,12 +1,12 @@
-//! Surface model of an area, merged from the surface models of its tiles.
+//! Surface model of an area or of a block of it, merged from the surface models of its tiles.
 
 use super::BatchError;
 use super::plan::{MosaicTile, MosaicWork};
 use heliosplat::Raster;
 use heliosplat_products::blend::{BANDS, Piece, blend};
-use heliosplat_products::dsm::Dsm;
-use heliosplat_raster::geoid::GeoidGrid;
-use heliosplat_raster::{Crs, GeoRaster, GeoTransform, GridSpec, RasterError};
+use heliosplat_products::dsm::{Dsm, file_of};
+use heliosplat_products::writer::Surroundings;
+use heliosplat_raster::{Crs, GeoTransform, GridSpec, RasterError, RasterFile, Window};
 use std::path::Path;
 
 /// Mosaic with its grid and tiles.
@@ -15,25 +15,32 @@ pub struct Mosaic {
     pub dsm: Dsm,
     /// Grid of the mosaic, without a vertical datum.
     pub grid: GridSpec,
-    /// Surface models of the tiles on the grid.
-    pub pieces: Vec<Piece>,
+    /// Parts of the surface models of the tiles on the grid.
+    pub parts: Parts,
+    /// Blended altitudes of the grid and the ground around it, metres above the ellipsoid.
+    pub around: Surroundings,
 }
 
 impl Mosaic {
     /// Altitudes above the ellipsoid, metres, for any vertical datum of the surface model.
-    ///
-    /// # Errors
-    /// When the geoid's grid cannot be used.
-    pub fn above_ellipsoid(&self) -> Result<Raster, RasterError> {
-        let mut altitude = self.dsm.altitude();
-        if let Some(geoid) = self.dsm.geoid {
-            let table = GeoidGrid::new(geoid, &self.grid)?;
-            for (i, value) in altitude.values.iter_mut().enumerate() {
-                *value += table.at(i % self.grid.width, i / self.grid.width) as f32;
-            }
-        }
-        Ok(altitude)
+    pub fn above_ellipsoid(&self) -> Raster {
+        self.around
+            .inner(&self.around.altitude, (self.grid.width, self.grid.height))
     }
+}
+
+/// Map grid of bounds (west, south, east, north) with cells of `gsd_m`.
+///
+/// # Errors
+/// When the coordinate reference system is unknown.
+pub(super) fn grid_of([west, south, east, north]: [f64; 4], gsd_m: f64, crs: &str) -> Result<GridSpec, RasterError> {
+    let cells = |length: f64| (length / gsd_m).round().max(1.0) as usize;
+    Ok(GridSpec {
+        width: cells(east - west),
+        height: cells(north - south),
+        transform: GeoTransform::north_up(west, north, gsd_m),
+        crs: Crs::from_definition(crs)?,
+    })
 }
 
 /// Blends the surface models of tiles; heights of the mosaic are above the ellipsoid.
@@ -41,55 +48,188 @@ impl Mosaic {
 /// # Errors
 /// When a tile cannot be read or the coordinate reference system is unknown.
 pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
-    let mut pieces = Vec::with_capacity(work.tiles.len());
+    let around = grid_of(work.around, work.gsd_m, &work.crs)?;
+    let whole = [[0, around.width as isize], [0, around.height as isize]];
+    let places = Places::of(work.around, work.gsd_m);
+    let mut parts = Parts::default();
     for tile in &work.tiles {
-        pieces.push(read(out, tile, work)?);
+        parts.read(out, tile, &places, whole)?;
     }
-    let [west, south, east, north] = work.bounds;
-    let cells = |length: f64| (length / work.gsd_m).round().max(1.0) as usize;
-    let grid = GridSpec {
-        width: cells(east - west),
-        height: cells(north - south),
-        transform: GeoTransform::north_up(west, north, work.gsd_m),
-        crs: Crs::from_definition(&work.crs)?,
+    let grid = grid_of(work.bounds, work.gsd_m, &work.crs)?;
+    let raster = blend(&parts.pieces, (around.width, around.height), work.gsd_m as f32);
+    let [col, row] = places.cells([work.bounds[0], work.bounds[3]]);
+    let around = Surroundings {
+        altitude: raster.band(0),
+        at: (col.max(0) as usize, row.max(0) as usize),
     };
-    let raster = blend(&pieces, (grid.width, grid.height), work.gsd_m as f32);
+    for piece in &mut parts.pieces {
+        piece.shift([-col, -row]);
+    }
+    parts.keep(|piece| {
+        let inside = |axis: usize, cells: usize| piece.bounds[axis][0] < cells as isize && piece.bounds[axis][1] > 0;
+        inside(0, grid.width) && inside(1, grid.height)
+    });
     Ok(Mosaic {
         dsm: Dsm {
-            raster,
+            raster: around.inner(&raster, (grid.width, grid.height)),
             grid: grid.clone(),
             geoid: None,
         },
         grid,
-        pieces,
+        parts,
+        around,
     })
 }
 
-/// Reads the surface model of a tile.
-fn read(out: &Path, tile: &MosaicTile, work: &MosaicWork) -> Result<Piece, BatchError> {
-    let path = out.join(&tile.unit).join("dsm.tif");
-    let file = GeoRaster::read_surface(&path)?;
-    if file.raster.bands < BANDS {
-        return Err(RasterError::Damaged {
-            path,
-            reason: format!("it has {} bands of {BANDS}", file.raster.bands),
-        }
-        .into());
+/// Columns and rows from a north-western corner.
+pub(super) struct Places {
+    west: f64,
+    north: f64,
+    gsd_m: f64,
+}
+
+/// First and one past the last column, and first and one past the last row.
+pub(super) type Span = [[isize; 2]; 2];
+
+impl Places {
+    /// Columns and rows from the north-western corner of bounds (west, south, east, north).
+    pub(super) fn of([west, _, _, north]: [f64; 4], gsd_m: f64) -> Self {
+        Self { west, north, gsd_m }
     }
-    let [west, _, _, north] = work.bounds;
-    let six = file.transform.to_gdal();
-    let cells = |distance: f64| (distance / work.gsd_m).round() as isize;
-    let span = |b: &[f64; 4]| {
-        [
-            [cells(b[0] - west), cells(b[2] - west)],
-            [cells(north - b[3]), cells(north - b[1])],
-        ]
+
+    /// Column and row of a corner of cells at map coordinates.
+    pub(super) fn cells(&self, [x, y]: [f64; 2]) -> [isize; 2] {
+        [x - self.west, self.north - y].map(|distance| (distance / self.gsd_m).round() as isize)
+    }
+
+    /// Columns and rows of bounds (west, south, east, north).
+    pub(super) fn span(&self, [west, south, east, north]: [f64; 4]) -> Span {
+        let ([left, top], [right, bottom]) = (self.cells([west, north]), self.cells([east, south]));
+        [[left, right], [top, bottom]]
+    }
+}
+
+/// Parts of the surface models of tiles, and the windows of the tiles' files that they were read from.
+#[derive(Default)]
+pub struct Parts {
+    /// Parts of the surface models.
+    pub pieces: Vec<Piece>,
+    /// Tile of each piece.
+    pub tiles: Vec<MosaicTile>,
+    /// Window of the tile's files, and their columns and rows, for each piece.
+    windows: Vec<(Window, (usize, usize))>,
+}
+
+impl Parts {
+    /// Reads the part of a tile's surface model within `span`; nothing where it has none there.
+    ///
+    /// # Errors
+    /// When a file cannot be read or is not on the grid of the tile's surface model.
+    pub(super) fn read(
+        &mut self,
+        out: &Path,
+        tile: &MosaicTile,
+        places: &Places,
+        span: Span,
+    ) -> Result<(), BatchError> {
+        let path = out.join(&tile.unit).join("dsm.tif");
+        let file = RasterFile::open(&path)?;
+        let placed = file
+            .geo_transform()
+            .ok_or_else(|| RasterError::NotGeoreferenced(path.clone()))?;
+        let [west, _, _, north, ..] = placed.to_gdal();
+        let Some((window, at)) = window(places.cells([west, north]), file.size(), span) else {
+            return Ok(());
+        };
+        let mut raster = file.read(window, &[0])?;
+        for band in 1..BANDS {
+            let more = read_window(&file_of(&path, band), window, file.size())?;
+            raster.values.extend_from_slice(more.plane(0));
+            raster.bands += 1;
+        }
+        self.windows.push((window, file.size()));
+        self.tiles.push(tile.clone());
+        self.pieces.push(Piece {
+            unit: tile.unit.clone(),
+            raster,
+            at,
+            core: places.span(tile.core),
+            bounds: places.span(tile.bounds),
+        });
+        Ok(())
+    }
+
+    /// Drops all pieces but those of `is_kept`.
+    fn keep(&mut self, is_kept: impl Fn(&Piece) -> bool) {
+        let kept: Vec<bool> = self.pieces.iter().map(is_kept).collect();
+        let flags = || {
+            let mut kept = kept.iter();
+            move || kept.next() == Some(&true)
+        };
+        let (mut pieces, mut tiles, mut windows) = (flags(), flags(), flags());
+        self.pieces.retain(|_| pieces());
+        self.tiles.retain(|_| tiles());
+        self.windows.retain(|_| windows());
+    }
+
+    /// Reads the raster `name` of each tile on the cells of its piece; `None` for tiles without it.
+    ///
+    /// # Errors
+    /// When a file is damaged or not on the grid of its tile's surface model.
+    pub(super) fn rasters(&self, out: &Path, name: &str) -> Result<Vec<Option<Raster>>, BatchError> {
+        let read = |(piece, &(window, size)): (&Piece, &(Window, (usize, usize)))| {
+            let path = out.join(&piece.unit).join(name);
+            path.is_file().then(|| read_window(&path, window, size)).transpose()
+        };
+        Ok(self
+            .pieces
+            .iter()
+            .zip(&self.windows)
+            .map(read)
+            .collect::<Result<_, _>>()?)
+    }
+}
+
+/// Window of all bands of a raster, which must have these columns and rows.
+fn read_window(path: &Path, window: Window, size: (usize, usize)) -> Result<Raster, RasterError> {
+    let file = RasterFile::open(path)?;
+    if file.size() != size {
+        return Err(RasterError::Damaged {
+            path: path.to_owned(),
+            reason: "it is not on the grid of its surface model".into(),
+        });
+    }
+    let bands: Vec<usize> = (0..file.bands.len()).collect();
+    file.read(window, &bands)
+}
+
+/// Window of a raster of `size`, which begins at a column and a row, within `span`, and the column and row at which the
+/// window begins; `None` without a common cell.
+fn window(begin: [isize; 2], size: (usize, usize), span: Span) -> Option<(Window, [isize; 2])> {
+    let along = |axis: usize, cells: usize| {
+        let from = begin[axis].max(span[axis][0]);
+        let to = (begin[axis] + cells as isize).min(span[axis][1]);
+        (from < to).then(|| (from, (from - begin[axis]) as usize, (to - from) as usize))
     };
-    Ok(Piece {
-        unit: tile.unit.clone(),
-        raster: file.raster,
-        at: [cells(six[0] - west), cells(north - six[3])],
-        core: span(&tile.core),
-        bounds: span(&tile.bounds),
-    })
+    let ((col, col0, width), (row, row0, height)) = (along(0, size.0)?, along(1, size.1)?);
+    let window = Window {
+        col0,
+        row0,
+        width,
+        height,
+    };
+    Some((window, [col, row]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tile_is_read_where_it_lies_on_the_block() {
+        let (read, at) = window([-10, 5], (40, 30), [[0, 100], [0, 20]]).expect("common cells");
+        assert_eq!((read.col0, read.row0, read.width, read.height), (10, 0, 30, 15));
+        assert_eq!(at, [0, 5]);
+        assert!(window([100, 0], (40, 30), [[0, 100], [0, 20]]).is_none());
+    }
 }

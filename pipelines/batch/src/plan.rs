@@ -1,10 +1,13 @@
 //! Units of a batch, in an order in which they can run.
 
+mod joint;
+
 use super::BatchError;
-use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions};
+use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions, TileOptions};
 use super::tiles::{self, Tiling};
 use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, executable, identity_of_program, recall_build};
+use heliosplat_raster::Geoid;
 use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_satellite::altitude;
@@ -16,11 +19,6 @@ use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Memory of a mosaic for each cell while its surface model is made, bytes: three bands of tiles and of the mosaic,
-/// weights, the file in memory.
-const MOSAIC_BYTES_PER_CELL: f64 = 120.0;
-/// Memory of a mosaic for each cell and band of its albedo, bytes.
-const MOSAIC_BYTES_PER_CELL_AND_BAND: f64 = 24.0;
 /// Memory of any unit, bytes.
 const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
 /// Seconds of any unit: starting, reading, writing.
@@ -35,8 +33,6 @@ const ADJUST_S_PER_PIXEL: f64 = 2e-5;
 const SWEEP_S_PER_PIXEL: f64 = 1e-5;
 /// Time of the other stages of a training (start, albedo, evaluation) for each image, in steps.
 const STEPS_PER_VIEW: f64 = 10.0;
-/// Seconds per cell of each raster of a mosaic.
-const MOSAIC_S_PER_CELL: f64 = 2e-6;
 /// Name of the file that keeps a plan, and its largest size, bytes: space for a million units.
 const FILE: &str = "plan.json";
 const FILE_MAX: u64 = 2 << 30;
@@ -83,8 +79,14 @@ pub enum Work {
     Adjust(AdjustWork),
     /// Trains a tile and writes its surface model.
     Tile(TileWork),
-    /// Merges the surface models and products of the tiles.
+    /// Finds the gains of the colours of all tiles.
+    Colours(ColoursWork),
+    /// Merges the surface models and products of the tiles in one piece.
     Mosaic(MosaicWork),
+    /// Merges those of the tiles of a block.
+    Block(MosaicWork),
+    /// Joins the blocks of a mosaic.
+    Joined(JoinedWork),
     /// Unusable scene; the unit fails when it runs.
     Refused {
         /// Reason of the refusal, for the user.
@@ -135,10 +137,23 @@ pub struct TileWork {
     pub products: ProductOptions,
 }
 
-/// Work of a mosaic.
+/// Work of the colours of an area.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct MosaicWork {
-    /// Tiles to merge.
+pub struct ColoursWork {
+    /// Tiles of the area.
+    pub tiles: Vec<MosaicTile>,
+    /// Width of a cell, metres.
+    pub gsd_m: f64,
+    /// True if the tiles have relit images, whose gains are found too.
+    pub relit: bool,
+}
+
+/// Work that joins the blocks of a mosaic.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct JoinedWork {
+    /// Units of the blocks, with their bounds: west, south, east, north, in units of `crs`.
+    pub blocks: Vec<(String, [f64; 4])>,
+    /// Tiles of the area.
     pub tiles: Vec<MosaicTile>,
     /// Coordinate reference system.
     pub crs: String,
@@ -146,6 +161,25 @@ pub struct MosaicWork {
     pub gsd_m: f64,
     /// West, south, east, north of the mosaic, in units of `crs`.
     pub bounds: [f64; 4],
+    /// Geoid that the heights of the blocks refer to; `None`: the ellipsoid.
+    pub geoid: Option<Geoid>,
+}
+
+/// Work of a mosaic or of a block of it.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct MosaicWork {
+    /// Tiles to merge.
+    pub tiles: Vec<MosaicTile>,
+    /// Unit that found the gains of the colours of all tiles; `None` if the mosaic finds them.
+    pub colours: Option<String>,
+    /// Coordinate reference system.
+    pub crs: String,
+    /// Width of a cell, metres.
+    pub gsd_m: f64,
+    /// West, south, east, north of the mosaic, in units of `crs`.
+    pub bounds: [f64; 4],
+    /// West, south, east, north of the mosaic with the ground around it, which its shadows come from.
+    pub around: [f64; 4],
     /// True surface model of the scene, if it has one.
     pub truth: Option<PathBuf>,
     /// Raster of ground classes of the scene, if it has one.
@@ -294,6 +328,14 @@ fn part<T: serde::Serialize>(made: &str, content: &T) -> serde_json::Result<Vec<
 }
 
 impl Unit {
+    /// True if it merges products of other units, and is quickly made again.
+    pub(super) fn is_joint(&self) -> bool {
+        matches!(
+            self.work,
+            Work::Colours(_) | Work::Mosaic(_) | Work::Block(_) | Work::Joined(_)
+        )
+    }
+
     /// Reason of the refusal if the scene cannot be used.
     pub fn refusal(&self) -> Option<&str> {
         match &self.work {
@@ -379,6 +421,7 @@ fn units_of(
             inputs: &inputs,
             config: toml::to_string(&config).unwrap_or_default(),
             products: products_of(preset, &manifest.products),
+            tiles: &manifest.tiles,
             deliver: manifest.deliver.as_ref(),
         };
         let cameras = match config.cameras.align != Align::Off && tiling.tiles.len() > 1 {
@@ -431,6 +474,7 @@ struct Combination<'a> {
     inputs: &'a str,
     config: String,
     products: ProductOptions,
+    tiles: &'a TileOptions,
     deliver: Option<&'a String>,
 }
 
@@ -480,50 +524,7 @@ impl Combination<'_> {
             .iter()
             .map(|tile| self.tile(&home, tiling, tile, cameras))
             .collect();
-        let tiles: Vec<MosaicTile> = tiling
-            .tiles
-            .iter()
-            .map(|tile| MosaicTile {
-                unit: format!("{home}/{}", tile.name()),
-                core: tile.core,
-                bounds: tile.area.bounds,
-            })
-            .collect();
-        let work = MosaicWork {
-            tiles,
-            crs: tiling.crs.clone(),
-            gsd_m: tiling.gsd_m,
-            bounds: tiling.bounds,
-            truth: survey.truth.dsm.clone(),
-            classes: survey.truth.classes.clone(),
-            products: self.products.clone(),
-        };
-        let [west, south, east, north] = tiling.bounds;
-        let cells = (east - west) * (north - south) / (tiling.gsd_m * tiling.gsd_m);
-        let images = tiling.tiles.iter().map(|tile| tile.survey.images).max().unwrap_or(0);
-        let (bands, rasters) = match self.products.dsm_only {
-            true => (0.0, 1.0),
-            // In the worst case each image has its own date, with a raster of shadows.
-            false => (survey.bands as f64, (4 + survey.bands + images) as f64),
-        };
-        let bytes_per_cell = MOSAIC_BYTES_PER_CELL + MOSAIC_BYTES_PER_CELL_AND_BAND * bands;
-        let keys: Vec<&str> = units.iter().map(|unit| unit.key.as_str()).collect();
-        let said = format!(
-            "{}mosaic\n{}\n{:?} {:?}",
-            identity_of_program(),
-            keys.join("\n"),
-            work,
-            self.deliver
-        );
-        units.push(Unit {
-            id: format!("{home}/mosaic"),
-            after: units.iter().map(|unit| unit.id.clone()).collect(),
-            mem_mb: mebibytes(LEAST_BYTES + bytes_per_cell * cells),
-            runtime_s: (LEAST_S + MOSAIC_S_PER_CELL * rasters * cells).ceil() as u64,
-            key: digest(&said),
-            deliver: self.deliver.cloned(),
-            work: Work::Mosaic(work),
-        });
+        units.extend(self.joint(&home, tiling, survey, &units));
         units
     }
 

@@ -1,41 +1,56 @@
 //! GIS products of units: from the model of a tile, and of a mosaic, merged from its tiles.
 
 use super::BatchError;
+use super::blocks::common;
+use super::colours::Colours;
 use super::layers::{Layer, Merge};
-use super::mosaic::Mosaic;
-use super::plan::{MosaicWork, Unit};
+use super::mosaic::{Mosaic, grid_of};
+use super::plan::{self, MosaicWork, Unit};
 use super::summary::COLLECTION;
 use heliosplat::Raster;
 use heliosplat_pages::view;
 use heliosplat_products::blend::Piece;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::Dsm;
-use heliosplat_products::export::{self, MosaicTile, Subject, TILESET};
+use heliosplat_products::export::{self, MosaicTile, Reference, Subject, TILESET};
 use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::points;
 use heliosplat_products::set::{self, Request, dates, only_sun, times};
 use heliosplat_products::sunshine::sunshine;
 use heliosplat_products::writer::{ItemMetadata, Writer};
-use heliosplat_raster::preview;
+use heliosplat_raster::{RasterFile, preview};
 use heliosplat_rpc::sun::SunPosition;
+use heliosplat_scene::BandKind;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Folder of a tile's training, below the folder of the tile.
 pub const RUN: &str = "run";
+/// Name of the file of the colours of all tiles.
+pub(super) const COLOURS: &str = "colours.json";
+/// Names of the rasters of colours.
+pub(super) const ALBEDO: &str = "albedo.tif";
+const RELIT: &str = "relit.tif";
 /// Name of the point cloud.
 const POINTS: &str = "points.laz";
 /// Folder of preview pictures.
 pub const PICTURES: &str = "pictures";
 /// Folders of the 3D Tiles of a mosaic: splats, and the textured surface.
-const SPLATS: &str = "splats";
-const SURFACE: &str = "surface";
+pub(super) const SPLATS: &str = "splats";
+pub(super) const SURFACE: &str = "surface";
+/// Values of each band of a tile from which the display of all blocks is found.
+const REFERENCE_CELLS: usize = 100_000;
 /// Largest side of a picture, pixels.
 const PICTURE_PX: usize = 1600;
 /// Colour of shadows in pictures: red, green, blue.
 const SHADOW: [u8; 3] = [40, 80, 255];
+
+/// Names of the rasters of colours of tiles, with a relit image or without.
+pub(super) fn colours_of(relit: bool) -> &'static [&'static str] {
+    if relit { &[ALBEDO, RELIT] } else { &[ALBEDO] }
+}
 
 /// Name of a unit's STAC item.
 fn item_id(unit: &str) -> String {
@@ -76,8 +91,8 @@ struct Models {
 }
 
 impl Models {
-    fn read(out: &Path, work: &MosaicWork) -> Result<Self, BatchError> {
-        let runs: Vec<PathBuf> = work.tiles.iter().map(|tile| out.join(&tile.unit).join(RUN)).collect();
+    fn read(out: &Path, tiles: &[plan::MosaicTile]) -> Result<Self, BatchError> {
+        let runs: Vec<PathBuf> = tiles.iter().map(|tile| out.join(&tile.unit).join(RUN)).collect();
         let files = runs.iter().map(|run| model::load_file(run)).collect::<Result<_, _>>()?;
         Ok(Self { files, runs })
     }
@@ -112,40 +127,48 @@ pub fn of_mosaic(
     unit: &Unit,
     folder: &Path,
 ) -> Result<(Vec<String>, Value), BatchError> {
-    let models = Models::read(out, work)?;
+    let models = Models::read(out, &mosaic.parts.tiles)?;
     let images = models.images();
     let bands = models.files.first().map_or(&[][..], |file| &file.bands);
-    let (pieces, grid) = (&mosaic.pieces, &mosaic.grid);
+    let (pieces, grid) = (&mosaic.parts.pieces, &mosaic.grid);
     let (size, gsd_m) = ((grid.width, grid.height), work.gsd_m as f32);
-    let read = |name: &str| Layer::read(out, pieces, name);
+    let colours = match &work.colours {
+        Some(unit) => Colours::read(&out.join(unit).join(COLOURS))?,
+        None => Colours::find(out, &work.tiles, work.gsd_m, colours_of(work.products.sun.is_some()))?,
+    };
+    let gains_of = |name: &str| colours.of(name, pieces.iter().map(|piece| piece.unit.as_str()));
+    let read = |name: &str| Layer::read(out, &mosaic.parts, name);
     let mask = |name: &str| Ok::<_, BatchError>(read(name)?.merged(pieces, size, gsd_m, Merge::Majority));
 
     let mut writer = Writer::new(grid, work.gsd_m, folder)?;
-    writer.surface(&mosaic.dsm)?;
+    writer.surface(&mosaic.dsm, &mosaic.around)?;
     let heaviest = |name: &str| Ok::<_, BatchError>(read(name)?.merged(pieces, size, gsd_m, Merge::Heaviest));
     let moments = [heaviest("change_date.tif")?, heaviest("change_confidence.tif")?];
     if let Some(changes) = ChangeMap::read(heaviest("change.tif")?, moments, &models.days_of_change()) {
         writer.changes(&changes)?;
     }
-    let mut albedo = read("albedo.tif")?;
-    let gains = albedo.balance(pieces, gsd_m);
+    let mut albedo = read(ALBEDO)?;
+    let gains = gains_of(ALBEDO);
+    albedo.scale(&gains);
     let albedo = albedo.merged(pieces, size, gsd_m, Merge::Mean);
     let index = models.files.first().and_then(ModelFile::ndvi);
     writer.colours(&albedo, bands, index)?;
     let look = OrthoPreview::new(&albedo, folder);
     look.write("albedo", None)?;
     if let Some(sun) = work.products.sun.map(sun_of) {
-        let mut image = read("relit.tif")?;
-        image.balance(pieces, gsd_m);
+        let mut image = read(RELIT)?;
+        image.scale(&gains_of(RELIT));
         let image = image.merged(pieces, size, gsd_m, Merge::Mean);
         writer.relit(&image, &mask("relit_shadow.tif")?, bands, &sun)?;
         OrthoPreview::new(&image, folder).write("relit", None)?;
     }
     if let Some(days) = &work.products.sun_hours {
         let period = days.parse().map_err(BatchError::Refused)?;
-        let above_ellipsoid = mosaic.above_ellipsoid()?;
-        let (nadir, frame) = NadirGrid::of_surface(grid.clone(), &above_ellipsoid.values)?;
-        writer.sunshine(&sunshine(&nadir, &above_ellipsoid, frame.origin, &period), &period)?;
+        let altitude = &mosaic.around.altitude;
+        let around = grid_of(work.around, work.gsd_m, &work.crs)?;
+        let (nadir, frame) = NadirGrid::of_surface(around, &altitude.values)?;
+        let shone = sunshine(&nadir, altitude, frame.origin, &period);
+        writer.sunshine(&shone.of(&|raster| mosaic.around.inner(raster, size)), &period)?;
     }
     let dates = dates(&images);
     for (date, sun) in &dates {
@@ -153,15 +176,23 @@ pub fn of_mosaic(
         writer.shadows(date, &shadows, sun)?;
         look.write(&format!("shadow_{date}"), Some(&shadows))?;
     }
-    let parts: Vec<points::Part> = work
+    let parts: Vec<points::Part> = mosaic
+        .parts
         .tiles
         .iter()
-        .map(|tile| (out.join(&tile.unit).join(POINTS), tile.core))
+        .map(|tile| (out.join(&tile.unit).join(POINTS), common(tile.core, work.bounds)))
         .collect();
     let count = points::merge(&folder.join(POINTS), &parts, grid, work.products.geoid)?;
     writer.points(POINTS, count);
     let globe = match work.products.globe {
-        true => globe(mosaic, albedo, &models.runs, &gains, work.products.sun, folder)?,
+        true => {
+            let reference = match work.colours {
+                Some(_) => reference(out, &colours, bands)?,
+                None => Reference::default(),
+            };
+            let sun = work.products.sun.map(sun_of);
+            globe(mosaic, albedo, (&models.runs, &gains), (reference, sun), folder)?
+        }
         false => Vec::new(),
     };
     if !globe.is_empty() {
@@ -194,32 +225,62 @@ pub fn of_mosaic(
     Ok((outputs, said))
 }
 
+/// Reference of the colours of all blocks, from tiles spread over the area.
+fn reference(out: &Path, colours: &Colours, bands: &[BandKind]) -> Result<Reference, BatchError> {
+    let units = || colours.references.iter().map(String::as_str);
+    let mut tiles = Vec::new();
+    let mut albedos = Raster::filled(0, 1, bands.len(), f32::NAN);
+    let mut planes = vec![Vec::new(); bands.len()];
+    for (unit, gains) in units().zip(colours.of(ALBEDO, units())) {
+        let albedo = RasterFile::open(&out.join(unit).join(ALBEDO))?.read_all()?;
+        let step = albedo.plane_len().div_ceil(REFERENCE_CELLS).max(1);
+        for (band, plane) in planes.iter_mut().enumerate().take(albedo.bands) {
+            let gain = gains.get(band).map_or(1.0, |gain| *gain as f32);
+            plane.extend(albedo.plane(band).iter().step_by(step).map(|value| value * gain));
+        }
+        tiles.push(MosaicTile {
+            run: out.join(unit).join(RUN),
+            core: [[0; 2]; 2],
+            gains,
+        });
+    }
+    albedos.width = planes.first().map_or(0, Vec::len);
+    albedos.values = planes.concat();
+    Ok(Reference {
+        white: Some(export::white_of(&albedos, bands)),
+        tiles,
+    })
+}
+
 /// Writes the 3D Tiles of a mosaic, and returns the names of their files in `folder`.
 fn globe(
     mosaic: &Mosaic,
     albedo: Raster,
-    runs: &[PathBuf],
-    gains: &[Vec<f64>],
-    sun: Option<[f64; 2]>,
+    (runs, gains): (&[PathBuf], &[Vec<f64>]),
+    (reference, sun): (Reference, Option<SunPosition>),
     folder: &Path,
 ) -> Result<Vec<String>, BatchError> {
     let tile = |((piece, run), gains): ((&Piece, &PathBuf), &Vec<f64>)| MosaicTile {
         run: run.clone(),
-        core: piece.core,
+        // A block shows the splats on its own ground.
+        core: [0, 1].map(|axis| {
+            let cells = [mosaic.grid.width, mosaic.grid.height][axis] as isize;
+            piece.core[axis].map(|at| at.clamp(0, cells))
+        }),
         gains: gains.clone(),
     };
-    let tiles = mosaic.pieces.iter().zip(runs).zip(gains).map(tile).collect();
+    let tiles = mosaic.parts.pieces.iter().zip(runs).zip(gains).map(tile).collect();
     let dsm = Dsm {
-        raster: mosaic.above_ellipsoid()?,
+        raster: mosaic.above_ellipsoid(),
         grid: mosaic.grid.clone(),
         geoid: None,
     };
-    let exported = export::Mosaic::new(folder, dsm, albedo, tiles)?;
+    let exported = export::Mosaic::new(folder, dsm, albedo, tiles, reference)?;
     for (name, tiles_of_mesh) in [(SPLATS, false), (SURFACE, true)] {
         let request = export::Request {
             tiles: Some(folder.join(name)),
             tiles_of_mesh,
-            sun: sun.map(sun_of),
+            sun,
             ..export::Request::default()
         };
         export::write(Subject::Mosaic(&exported), &request)?;

@@ -18,7 +18,9 @@ pub fn pending(unit: &Unit, out: &Path) -> Row {
         kind: match unit.work {
             Work::Adjust(_) => "adjust",
             Work::Tile(_) => "tile",
-            Work::Mosaic(_) => "mosaic",
+            Work::Colours(_) => "colours",
+            Work::Mosaic(_) | Work::Joined(_) => "mosaic",
+            Work::Block(_) => "block",
             Work::Refused { .. } => "refused",
         },
         state: State::Pending,

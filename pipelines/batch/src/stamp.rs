@@ -4,7 +4,9 @@ use super::plan::Unit;
 use heliosplat_fitting::lock::Lock;
 use heliosplat_fitting::program::build;
 use heliosplat_fitting::run_folder;
+use heliosplat_raster::RasterError;
 use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
+use heliosplat_raster::write::remove;
 use serde_json::Value;
 use std::path::Path;
 use std::time::Duration;
@@ -44,6 +46,11 @@ pub struct Output {
 }
 
 impl Output {
+    /// True if the file lies in the folder: a stamp comes from the disk and may name other files.
+    fn is_plain(&self) -> bool {
+        Path::new(&self.path).is_relative() && !self.path.contains("..")
+    }
+
     /// Describes the file at `path` below a unit's folder.
     ///
     /// # Errors
@@ -67,8 +74,26 @@ pub fn other_build(out: &Path, unit: &Unit) -> Option<String> {
     (stamp.key != unit.key && stamp.build != build()).then_some(stamp.build)
 }
 
-fn read(folder: &Path) -> Option<Stamp> {
+/// Stamp in the folder of a unit, whatever its key.
+pub(super) fn read(folder: &Path) -> Option<Stamp> {
     serde_json::from_slice(&read_bytes(&folder.join(STAMP), TEXT_MAX).ok()?).ok()
+}
+
+/// Removes the products that the stamp in a folder lists, so that none of earlier work stands beside those of new work.
+///
+/// # Errors
+/// When a file cannot be removed.
+pub(super) fn remove_outputs(folder: &Path) -> Result<(), RasterError> {
+    let outputs = read(folder).map(|stamp| stamp.outputs).unwrap_or_default();
+    for output in outputs.iter().filter(|output| output.is_plain()) {
+        let path = folder.join(&output.path);
+        remove(&path)?;
+        if let Some(within) = path.parent().filter(|within| *within != folder) {
+            // Only an empty folder is removed.
+            let _ = std::fs::remove_dir(within);
+        }
+    }
+    Ok(())
 }
 
 /// Stamp of a unit if it is finished: name and key agree, and all products exist with their recorded sizes.
@@ -76,9 +101,7 @@ pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
     let folder = out.join(&unit.id);
     let stamp = read(&folder)?;
     let there = |output: &Output| {
-        // A stamp comes from the disk and may name files outside of the folder.
-        let plain = Path::new(&output.path).is_relative() && !output.path.contains("..");
-        plain && std::fs::metadata(folder.join(&output.path)).is_ok_and(|data| data.len() == output.bytes)
+        output.is_plain() && std::fs::metadata(folder.join(&output.path)).is_ok_and(|data| data.len() == output.bytes)
     };
     (stamp.key == unit.key && stamp.unit == unit.id && stamp.outputs.iter().all(there)).then_some(stamp)
 }
@@ -115,9 +138,11 @@ mod tests {
             id: "a/b/c/mosaic".into(),
             work: Work::Mosaic(MosaicWork {
                 tiles: Vec::new(),
+                colours: None,
                 crs: "EPSG:32637".into(),
                 gsd_m: 0.5,
                 bounds: [0.0; 4],
+                around: [0.0; 4],
                 truth: None,
                 classes: None,
                 products: ProductOptions::default(),

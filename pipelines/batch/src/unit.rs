@@ -1,11 +1,13 @@
 //! One unit of a batch: adjustment, training or mosaic, with products, page and stamp.
 
 use super::BatchError;
+use super::colours::Colours;
+use super::joined;
 use super::mosaic::mosaic;
-use super::plan::{AdjustWork, MosaicWork, TileWork, Unit, Units, Work};
-use super::products::{self, RUN};
-use super::stamp::{Output, STAMP, Stamp, claim, finished};
-use heliosplat_evaluate::{Protocol, error_map, evaluate_dsm, evaluate_raster};
+use super::plan::{AdjustWork, ColoursWork, MosaicWork, TileWork, Unit, Units, Work};
+use super::products::{self, COLOURS, RUN, colours_of};
+use super::stamp::{self, Output, STAMP, Stamp, claim, finished};
+use heliosplat_evaluate::{EvaluateError, Protocol, error_map, evaluate_dsm, evaluate_raster};
 use heliosplat_fitting::checkpoint;
 use heliosplat_fitting::program::build;
 use heliosplat_fitting::request::{Earlier, TrainOutcome, TrainRequest};
@@ -69,7 +71,9 @@ pub fn do_unit(
     let (outputs, metrics) = match &unit.work {
         Work::Adjust(work) => adjust(work, &folder, session)?,
         Work::Tile(work) => tile(work, unit, (out, &folder), checkpoint_every, session)?,
-        Work::Mosaic(work) => mosaic_unit(work, unit, out, &folder)?,
+        Work::Colours(work) => colours(work, out, &folder)?,
+        Work::Mosaic(work) | Work::Block(work) => mosaic_unit(work, unit, out, &folder)?,
+        Work::Joined(work) => joined::join(work, out, &folder)?,
         Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
     if let Some(to) = &unit.deliver {
@@ -103,6 +107,9 @@ pub fn do_unit(
 fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
     let path = folder.join(BEGUN);
     let same = read_text(&path).is_ok_and(|before| before.trim() == unit.key);
+    if unit.is_joint() {
+        stamp::remove_outputs(folder)?;
+    }
     // An outdated stamp, or one with missing products, must not be read again.
     let _ = std::fs::remove_file(folder.join(STAMP));
     if !same {
@@ -113,7 +120,7 @@ fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
 }
 
 /// Names of the products, and metrics.
-type Done = (Vec<String>, Value);
+pub(super) type Done = (Vec<String>, Value);
 
 fn tile(
     work: &TileWork,
@@ -219,6 +226,13 @@ fn adjust(work: &AdjustWork, folder: &Path, session: &Session) -> Result<Done, B
     Ok((vec![CAMERAS.into()], metrics))
 }
 
+/// Finds the gains of the colours of all tiles of an area.
+fn colours(work: &ColoursWork, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+    let found = Colours::find(out, &work.tiles, work.gsd_m, colours_of(work.relit))?;
+    found.write(&folder.join(COLOURS))?;
+    Ok((vec![COLOURS.into()], json!({"tiles": work.tiles.len()})))
+}
+
 /// Scene of a tile; images without pixels in it are left out.
 fn scene_of(work: &TileWork, ingest: &IngestOptions) -> Result<Scene, SceneError> {
     let index = Index::open(&work.scene, work.rpc)?;
@@ -264,28 +278,45 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
     let mut work = work.clone();
     work.tiles.retain(|tile| out.join(&tile.unit).join("dsm.tif").is_file());
     let work = &work;
+    if work.tiles.is_empty() {
+        return Ok((Vec::new(), json!({"empty": true})));
+    }
     let mut mosaic = mosaic(out, work)?;
+    let is_block = matches!(unit.work, Work::Block(_));
+    if is_block && mosaic.dsm.completeness() == 0.0 {
+        return Ok((Vec::new(), json!({"empty": true})));
+    }
+    let pieces = &mosaic.parts.pieces;
     let path = folder.join("dsm.tif");
     let altitude = mosaic.dsm.altitude();
     preview::write_png(&folder.join("dsm.png"), &preview::hillshade(&altitude, work.gsd_m))?;
     let mut metrics = json!({
-        "tiles": mosaic.pieces.len(),
+        "tiles": pieces.len(),
         "width": altitude.width,
         "height": altitude.height,
         "gsd_m": work.gsd_m,
         "completeness": mosaic.dsm.completeness(),
-        "seams": seams::measure(&altitude, &mosaic.pieces),
-        "pieces": mosaic.pieces.iter().map(|p| json!({"unit": p.unit, "core": p.core, "bounds": p.bounds})).collect::<Vec<_>>(),
+        "seams": seams::measure(&altitude, pieces),
+        "pieces": pieces.iter().map(|p| json!({"unit": p.unit, "core": p.core, "bounds": p.bounds})).collect::<Vec<_>>(),
     });
     let mut outputs: Vec<String> = vec!["dsm.png".into()];
     if let Some(truth) = &work.truth {
         // Truth is above the ellipsoid even if the products refer to a geoid.
         let made = mosaic.dsm.geo_raster();
-        let evaluation = evaluate_raster((&path, &made), truth, work.classes.as_deref(), Protocol::Raw)?;
-        metrics["dsm"] = measure::surface_metrics(&evaluation);
-        preview::write_png(&folder.join("error.png"), &error_map::draw(&evaluation.errors))?;
-        error_map::write(&folder.join("error.tif"), &evaluation)?;
-        outputs.extend(["error.png".into(), "error.tif".into()]);
+        match evaluate_raster((&path, &made), truth, work.classes.as_deref(), Protocol::Raw) {
+            // The truth may show another part of the area.
+            Err(EvaluateError::Apart { .. }) if is_block => (),
+            evaluation => {
+                let evaluation = evaluation?;
+                metrics["dsm"] = measure::surface_metrics(&evaluation);
+                if !is_block {
+                    // The map of errors is on the grid of the truth, which a block has a part of.
+                    preview::write_png(&folder.join("error.png"), &error_map::draw(&evaluation.errors))?;
+                    error_map::write(&folder.join("error.tif"), &evaluation)?;
+                    outputs.extend(["error.png".into(), "error.tif".into()]);
+                }
+            }
+        }
     }
     if let Some(geoid) = work.products.geoid {
         mosaic.dsm = mosaic.dsm.above(geoid)?;

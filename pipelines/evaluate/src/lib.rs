@@ -30,7 +30,7 @@ pub use uncertainty::Uncertainty;
 use align::Shift;
 use heliosplat::Raster;
 use heliosplat_raster::{GeoRaster, RasterError, dsm_bands};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Water in LAS classes.
 const WATER: f32 = 9.0;
@@ -72,6 +72,14 @@ pub enum EvaluateError {
     /// Rasters that cannot be compared, with the remedy.
     #[error("{0}")]
     Refused(String),
+    /// No cell known in both rasters.
+    #[error("{}: has no known altitude where {} has one; they may be of different places or coordinate systems", prediction.display(), truth.display())]
+    Apart {
+        /// File of the surface model.
+        prediction: PathBuf,
+        /// File of the truth.
+        truth: PathBuf,
+    },
     /// A raster that cannot be read or placed.
     #[error(transparent)]
     Raster(#[from] RasterError),
@@ -156,11 +164,10 @@ pub fn evaluate_raster(
     let placement = resample::Placement::new(prediction, &truth)?;
     let moved = |columns: f64, rows: f64| placement.moved(columns, rows);
     let Some((errors, shift)) = register(&moved, &truth.raster, classes.as_ref(), protocol) else {
-        return Err(EvaluateError::Refused(format!(
-            "{}: has no known altitude where {} has one; they may be of different places or coordinate systems",
-            prediction_path.display(),
-            truth_path.display()
-        )));
+        return Err(EvaluateError::Apart {
+            prediction: prediction_path.to_owned(),
+            truth: truth_path.to_owned(),
+        });
     };
     let wanted = wanted_cells(&truth.raster, classes.as_ref(), protocol);
     let mut metrics = DsmMetrics::new(

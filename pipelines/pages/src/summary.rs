@@ -58,7 +58,7 @@ impl State {
 pub struct Row {
     /// Name of the unit.
     pub unit: String,
-    /// `adjust`, `tile`, `mosaic`, or `refused` if the scene cannot be used.
+    /// `adjust`, `tile`, `colours`, `block`, `mosaic`, or `refused` if the scene cannot be used.
     pub kind: &'static str,
     /// Status.
     pub state: State,
@@ -190,7 +190,7 @@ pub fn page(rows: &[Row]) -> String {
 /// Address of a finished unit's page, relative to the folder of the batch.
 fn address(row: &Row) -> Option<String> {
     let within = match row.kind {
-        "mosaic" => "",
+        "mosaic" | "block" => "",
         _ if row.metrics.get("gaussians").is_some() || row.metrics.pointer("/train").is_some() => "run/",
         _ => return None,
     };

@@ -35,6 +35,9 @@ use std::path::{Path, PathBuf};
 /// Name of the page in the folder of a run or of a mosaic.
 pub const FILE: &str = "sun.html";
 
+/// Folder, within that of a mosaic of blocks, of its surface model and albedo with larger cells.
+pub const OVERVIEW: &str = "overview";
+
 /// Failure to make a page.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {

@@ -19,7 +19,7 @@ pub const BANDS: usize = 4;
 pub struct Piece {
     /// Name of the tile.
     pub unit: String,
-    /// Bands of the surface model: altitude, standard deviation, coverage, views.
+    /// Bands of the surface model, or of a window of it: altitude, standard deviation, coverage, views.
     pub raster: Raster,
     /// Column and row of the mosaic at which the raster begins.
     pub at: [isize; 2],
@@ -30,6 +30,16 @@ pub struct Piece {
 }
 
 impl Piece {
+    /// Moves the origin of the mosaic by this many columns and rows to the north-west.
+    pub fn shift(&mut self, by: [isize; 2]) {
+        for axis in 0..2 {
+            self.at[axis] += by[axis];
+            for span in [&mut self.core, &mut self.bounds] {
+                span[axis] = span[axis].map(|at| at + by[axis]);
+            }
+        }
+    }
+
     /// Value of a band at a cell of the mosaic; NaN outside the piece.
     pub fn value(&self, band: usize, col: isize, row: isize) -> f32 {
         self.value_of(&self.raster, band, col, row)

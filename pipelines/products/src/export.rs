@@ -5,13 +5,16 @@
 //! and its scale are not those of the ground. [`anchor`] gives the position of the frame on Earth.
 
 mod folder;
+mod joined;
 mod lit;
 mod mosaic;
 mod textured;
 mod tile;
 
+pub use joined::join_tilesets;
 pub use lit::{Display, Lit};
-pub use mosaic::Mosaic;
+pub use mosaic::{Mosaic, Reference};
+pub use textured::white_of;
 pub use tile::MosaicTile;
 
 use crate::dsm;
@@ -246,7 +249,9 @@ fn ground(model: &LoadedModel) -> Result<TexturedGround, ExportError> {
     let mut albedo = ortho::albedo(model, &dsm::maps(model, &nadir));
     let surface = dsm::of_model(&nadir, model)?;
     surface.blank_unknown(&mut albedo);
-    Ok(TexturedGround::new(&surface, &albedo, &model.file.bands, &nadir.enu))
+    let bands = &model.file.bands;
+    let look = (bands.as_slice(), white_of(&albedo, bands));
+    Ok(TexturedGround::new((&surface, &albedo), look, &nadir.enu))
 }
 
 /// Object with the members of two objects.

@@ -4,7 +4,7 @@ use super::dsm::{maps, of_model};
 use super::nadir::NadirGrid;
 use super::relight::{RelightError, Viewpoint};
 use super::sunshine::{Period, sunshine};
-use super::writer::{ItemMetadata, Set, Writer};
+use super::writer::{ItemMetadata, Set, Surroundings, Writer};
 use super::{ortho, points};
 use crate::change::ChangeMap;
 use crate::model::{LoadedModel, ModelImage};
@@ -120,7 +120,7 @@ pub fn write(
     done(1);
     let bands = &model.file.bands;
     let mut writer = Writer::new(&nadir.grid, gsd_m, out)?;
-    writer.surface(&surface)?;
+    writer.surface(&surface, &Surroundings::none(&surface))?;
     if let Some(changes) = changes {
         writer.changes(&changes)?;
     }

@@ -6,6 +6,7 @@
 
 use heliosplat::Raster;
 use heliosplat_grid::statistics::quantile;
+use heliosplat_raster::virtual_raster::escaped;
 use heliosplat_raster::{Crs, RasterError, write_atomically};
 use std::fmt::Write;
 use std::path::Path;
@@ -227,13 +228,6 @@ pub fn layer_file(group: &str, layers: &[Layer]) -> String {
          <maplayers>\n{maps} </maplayers>\n</qlr>\n",
         escaped(group)
     )
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
 }
 
 /// Items of a colour ramp from low to high, as XML.

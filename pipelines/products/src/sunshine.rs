@@ -39,6 +39,18 @@ pub struct Sunshine {
     pub irradiation: Raster,
 }
 
+impl Sunshine {
+    /// The same of a part of the grid, which `part` cuts out of each raster.
+    #[must_use]
+    pub fn of(&self, part: &dyn Fn(&Raster) -> Raster) -> Self {
+        Self {
+            sun_hours: part(&self.sun_hours),
+            sky_view: part(&self.sky_view),
+            irradiation: part(&self.irradiation),
+        }
+    }
+}
+
 /// Sums of one cell over the azimuth sectors.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gathered {

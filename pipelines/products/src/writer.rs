@@ -54,6 +54,30 @@ pub struct Set {
     pub completeness: f64,
 }
 
+/// Altitudes of a grid and of the ground around it, for products whose cells depend on other cells.
+pub struct Surroundings {
+    /// Altitudes, metres, one band.
+    pub altitude: Raster,
+    /// Column and row of `altitude` at which the grid begins.
+    pub at: (usize, usize),
+}
+
+impl Surroundings {
+    /// Altitudes of a grid without ground around it.
+    pub fn none(dsm: &Dsm) -> Self {
+        Self {
+            altitude: dsm.altitude(),
+            at: (0, 0),
+        }
+    }
+
+    /// Part of `raster`, which covers the surroundings, on a grid of `size` columns and rows.
+    #[must_use]
+    pub fn inner(&self, raster: &Raster, size: (usize, usize)) -> Raster {
+        raster.part(self.at, size)
+    }
+}
+
 /// Writes products of one grid into a folder.
 pub struct Writer<'a> {
     grid: &'a GridSpec,
@@ -185,11 +209,12 @@ impl<'a> Writer<'a> {
     }
 
     /// Writes the surface model, the ground below it, the heights above the ground, and a hillshade. In the products
-    /// folder of a run with an equal surface model, the item refers to that one instead.
+    /// folder of a run with an equal surface model, the item refers to that one instead. Altitudes of `around` may refer
+    /// to another vertical datum.
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn surface(&mut self, dsm: &Dsm) -> Result<(), RasterError> {
+    pub fn surface(&mut self, dsm: &Dsm, around: &Surroundings) -> Result<(), RasterError> {
         self.vertical_datum = dsm.vertical_datum();
         // The parent's path is used, since the folder itself may not exist yet.
         let of_run = self.out.parent().map(|run| run.join("dsm.tif"));
@@ -219,18 +244,23 @@ impl<'a> Writer<'a> {
         self.completeness = dsm.completeness();
         let size = (self.grid.width, self.grid.height);
         let cell_m = self.grid.transform.cell_m(size, Some(&self.grid.crs));
-        self.ground(dsm, cell_m[0] as f32)?;
-        let shade = ortho::hillshade(&dsm.altitude(), cell_m);
+        self.ground(dsm, around, cell_m[0] as f32)?;
+        let shade = around.inner(&ortho::hillshade(&around.altitude, cell_m), size);
         let title = "Hillshade of the surface, light from the north-west";
         self.bytes(("hillshade", title, "shade"), &shade, Bytes::Shades, None)
     }
 
     /// Writes the ground below the surface, and the heights above it.
-    fn ground(&mut self, dsm: &Dsm, cell_m: f32) -> Result<(), RasterError> {
-        let (mut ground, mut above) = (dsm.altitude(), dsm.altitude());
-        ground.values = drape::ground((ground.width, ground.height), cell_m, &ground.values);
-        for (height, ground) in above.values.iter_mut().zip(&ground.values) {
+    fn ground(&mut self, dsm: &Dsm, around: &Surroundings, cell_m: f32) -> Result<(), RasterError> {
+        let mut above = around.altitude.clone();
+        let draped = drape::ground((above.width, above.height), cell_m, &above.values);
+        for (height, ground) in above.values.iter_mut().zip(&draped) {
             *height -= ground;
+        }
+        let above = around.inner(&above, (self.grid.width, self.grid.height));
+        let mut ground = dsm.altitude();
+        for (ground, height) in ground.values.iter_mut().zip(&above.values) {
+            *ground -= height;
         }
         let datum = ("VERTICAL_DATUM".to_owned(), self.vertical_datum.to_owned());
         let title = format!("Ground, metres above {}", self.vertical_datum);

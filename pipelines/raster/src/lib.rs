@@ -22,6 +22,7 @@ mod stacked;
 pub mod streamed;
 pub mod temporary;
 pub mod tiled;
+pub mod virtual_raster;
 pub mod write;
 
 pub use band::{BandInfo, Colour, Window};

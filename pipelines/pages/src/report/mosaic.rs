@@ -3,7 +3,7 @@
 
 use super::parts::{self, SURFACE_PX, figure, gallery, keys};
 use super::{Folder, page_of, save, surface};
-use crate::page::{MIB, MOSAIC_FILE, number};
+use crate::page::{MIB, MOSAIC_FILE, number, section};
 use crate::view::{self, Exhibit, ViewError};
 use heliosplat_fitting::run_folder::RunError;
 use image::RgbImage;
@@ -55,13 +55,14 @@ pub fn write(folder: &Path) -> Result<PathBuf, ViewError> {
     };
     let sections = [
         head(&mosaic, &tiles, shown.as_ref()),
-        html! { @if let Some(shown) = &shown { (surface::maps(shown, &borders_of(&tiles, shown))) } },
+        html! { @if let Some(shown) = &shown { (surface::maps(shown, &borders_of(&mosaic, &tiles))) } },
         figure(
             mosaic.picture("pictures/relit.png"),
             SURFACE_PX,
             "Relit with the requested sun",
         ),
         surface::files(&mosaic),
+        blocks(&mosaic),
         dates(&mosaic),
         borders(&mosaic),
         parts::accuracy(&mosaic, None),
@@ -117,9 +118,10 @@ fn head(mosaic: &Folder, tiles: &[Tile], shown: Option<&Exhibit>) -> Markup {
 }
 
 /// Outlines of the tiles' cores, drawn over the surface.
-fn borders_of(tiles: &[Tile], shown: &Exhibit) -> Markup {
+fn borders_of(mosaic: &Folder, tiles: &[Tile]) -> Markup {
+    let [width, height] = ["/width", "/height"].map(|side| mosaic.number(side).unwrap_or(1.0));
     html! {
-        svg viewBox=(format_args!("0 0 {} {}", shown.altitude.width, shown.altitude.height)) preserveAspectRatio="none" {
+        svg viewBox=(format_args!("0 0 {width} {height}")) preserveAspectRatio="none" {
             @for Tile { core: [[left, right], [top, bottom]], name, .. } in tiles {
                 rect x=(left) y=(top) width=(right.saturating_sub(*left)) height=(bottom.saturating_sub(*top)) vector-effect="non-scaling-stroke" {
                     title { (name) }
@@ -127,6 +129,20 @@ fn borders_of(tiles: &[Tile], shown: &Exhibit) -> Markup {
             }
         }
     }
+}
+
+/// Blocks of the mosaic, with links to their pages.
+fn blocks(mosaic: &Folder) -> Markup {
+    let names = mosaic.list("/blocks").iter().filter_map(Value::as_str);
+    // A name becomes part of an address.
+    let names: Vec<&str> = names.filter(|name| !name.contains(['/', '\\', '.'])).collect();
+    let body = html! {
+        @if !names.is_empty() {
+            p { "The rasters of the whole area (" code { ".vrt" } ") refer to the GeoTIFFs of these blocks." }
+            p { @for name in names.iter().take(ROWS) { a href={ "../" (name) "/report.html" } { (name) } " " } }
+        }
+    };
+    section("Blocks", body)
 }
 
 /// Pictures of the shadows of each date over the albedo.
@@ -157,7 +173,7 @@ fn borders(mosaic: &Folder) -> Markup {
         unit.rsplit('/').next().unwrap_or(unit).to_owned()
     };
     html! {
-        @if !overlaps.is_empty() {
+        @if metric("border", "mean_m").is_some() {
             h2 { "Tile-edge consistency" }
             p { "Height steps between neighbouring cells." }
             div.wide { table {
@@ -170,8 +186,8 @@ fn borders(mosaic: &Folder) -> Markup {
                     }
                 }
             } }
-            p { "Where two tiles overlap: height of the second minus that of the first." }
-            div.wide { table {
+            @if !overlaps.is_empty() { p { "Where two tiles overlap: height of the second minus that of the first." } }
+            @if !overlaps.is_empty() { div.wide { table {
                 tr { th { "tiles" } th { "cells" } th { "median, m" } th { "NMAD, m" } th { "mean absolute, m" } }
                 @for overlap in overlaps.iter().take(ROWS) {
                     tr {
@@ -180,7 +196,7 @@ fn borders(mosaic: &Folder) -> Markup {
                         @for name in ["median_m", "nmad_m", "mean_abs_m"] { td { (number(overlap[name].as_f64(), 3)) } }
                     }
                 }
-            } }
+            } } }
         }
     }
 }

@@ -168,7 +168,14 @@ pub(super) fn files(folder: &Folder) -> Markup {
         names.sort_unstable();
         for (start, meaning) in FILES.lines().filter_map(|line| line.split_once(' ')) {
             let is_raster = |name: &str| !start.contains('.') && name.starts_with(start) && name.ends_with(".tif");
-            let found = names.iter().filter(|name| *name == start || is_raster(name));
+            // A mosaic of blocks has virtual rasters of the same names.
+            let plain = |name: &str| {
+                name.strip_suffix(".vrt")
+                    .map_or_else(|| name.to_owned(), |name| format!("{name}.tif"))
+            };
+            let found = names
+                .iter()
+                .filter(|name| plain(name) == start || is_raster(&plain(name)));
             rows.extend(found.map(|name| (format!("{within}{name}"), meaning)));
         }
     }

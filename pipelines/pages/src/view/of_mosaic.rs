@@ -1,9 +1,9 @@
 //! Content of the page of a batch's mosaic, from the products in its folder.
 
-use super::ViewError;
 use super::exhibit::{Exhibit, LightTable, TracedDate};
 use super::of_files::{albedo_on, on_grid, surface};
 use super::of_run::maps;
+use super::{OVERVIEW, ViewError};
 use crate::page::MOSAIC_FILE;
 use heliosplat::Raster;
 use heliosplat::model::shadow_gs::{SKY, softplus};
@@ -16,22 +16,24 @@ use std::path::{Path, PathBuf};
 /// Prefix of the shadow masks of dates: `shadow_DATE.tif`.
 const SHADOWS: &str = "shadow_";
 
-/// Gathers the content of the page of a mosaic. The light is that of `run`, the run of a tile; without it, that of the
+/// Gathers the content of the page of a mosaic; of one that consists of blocks, from its overview. The light is that of `run`, the run of a tile; without it, that of the
 /// first tile's run, found beside the folder.
 ///
 /// # Errors
 /// When a file of the folder cannot be read.
 pub fn of_mosaic(folder: &Path, run: Option<&Path>) -> Result<Exhibit, ViewError> {
-    let mut exhibit = surface(&folder.join("dsm.tif"))?;
+    let overview = folder.join(OVERVIEW);
+    let rasters = if overview.is_dir() { overview.as_path() } else { folder };
+    let mut exhibit = surface(&rasters.join("dsm.tif"))?;
     exhibit.title = title(folder);
-    let albedo = folder.join("albedo.tif");
+    let albedo = rasters.join("albedo.tif");
     if albedo.is_file() {
         exhibit.albedo = Some(albedo_on(&albedo, &exhibit.grid)?);
     }
     let first = run.map(Path::to_owned).or_else(|| first_run(folder));
     exhibit.light = first.and_then(|run| light(&run)).unwrap_or_else(LightTable::usual);
-    exhibit.dates = dates(folder, &exhibit)?;
-    exhibit.layers = maps(folder, &exhibit)?;
+    exhibit.dates = dates(rasters, &exhibit)?;
+    exhibit.layers = maps(rasters, &exhibit)?;
     Ok(exhibit)
 }
 

@@ -71,7 +71,7 @@ impl Display {
 }
 
 /// Indices of the bands shown as red, green and blue.
-fn shown(kinds: &[BandKind]) -> [usize; 3] {
+pub(super) fn shown(kinds: &[BandKind]) -> [usize; 3] {
     let place = |kind: BandKind| kinds.iter().position(|&k| k == kind);
     match (place(BandKind::Red), place(BandKind::Green), place(BandKind::Blue)) {
         (Some(red), Some(green), Some(blue)) => [red, green, blue],
@@ -113,19 +113,20 @@ impl Lit {
     }
 
     /// Splats of all tiles of a mosaic in the frame of `nadir`, those of each tile within its core and with its gains,
-    /// under `sun` or the sun of the first tile's reference image. Tiles are loaded one after the other.
+    /// under `sun` or the sun of the reference image of the first of `references`. The display stretch is that of the
+    /// tiles `references`. Tiles are loaded one after the other.
     ///
     /// # Errors
     /// Errors of [`Lit::new`], and when a tile cannot be read.
     pub(super) fn of_tiles(
-        tiles: &[MosaicTile],
+        (tiles, references): (&[MosaicTile], &[MosaicTile]),
         (nadir, frame): (&NadirGrid, &LocalFrame),
         sun: Option<&SunPosition>,
     ) -> Result<Self, RelightError> {
         let mut own = None;
         let mut said = ([0; 3], 1.0);
         let mut values = Vec::new();
-        for (place, tile) in tiles.iter().enumerate() {
+        for (place, tile) in references.iter().enumerate() {
             let model = load(&tile.run)?;
             if place == 0 {
                 own = own_sun(&model.file);
@@ -134,7 +135,7 @@ impl Lit {
             let light = own.map(|sun| Ok::<_, RelightError>((sun, light_of(&model, &sun)?)));
             let mut image = from_above(&model, light.transpose()?)?;
             tile.balance(&mut image);
-            let step = (image.plane_len() * tiles.len() / DISPLAY_VALUES).max(1);
+            let step = (image.plane_len() * references.len() / DISPLAY_VALUES).max(1);
             for band in said.0.into_iter().filter(|&band| band < image.bands) {
                 values.extend(image.plane(band).iter().step_by(step));
             }

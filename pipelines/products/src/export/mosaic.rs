@@ -5,7 +5,7 @@
 
 use super::ExportError;
 use super::lit::Lit;
-use super::textured::TexturedGround;
+use super::textured::{TexturedGround, white_of};
 use super::tile::MosaicTile;
 use crate::dsm::Dsm;
 use crate::model::load_file;
@@ -15,12 +15,22 @@ use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::sun::SunPosition;
 use std::path::{Path, PathBuf};
 
+/// Reference of the colours of a mosaic's files, which the blocks of one area share.
+#[derive(Default)]
+pub struct Reference {
+    /// Tiles that set the sun and the display stretch of splats; without any, all tiles of the mosaic.
+    pub tiles: Vec<MosaicTile>,
+    /// Albedo that the textured surface shows white; `None`: by that of the mosaic.
+    pub white: Option<f32>,
+}
+
 /// A mosaic: its merged surface and the runs of its tiles.
 pub struct Mosaic {
     folder: PathBuf,
     dsm: Dsm,
     albedo: Raster,
     tiles: Vec<MosaicTile>,
+    reference: Reference,
     nadir: NadirGrid,
     frame: LocalFrame,
 }
@@ -30,7 +40,13 @@ impl Mosaic {
     ///
     /// # Errors
     /// When there is no tile, or the grid lies outside its coordinate system.
-    pub fn new(folder: &Path, dsm: Dsm, albedo: Raster, tiles: Vec<MosaicTile>) -> Result<Self, ExportError> {
+    pub fn new(
+        folder: &Path,
+        dsm: Dsm,
+        albedo: Raster,
+        tiles: Vec<MosaicTile>,
+        reference: Reference,
+    ) -> Result<Self, ExportError> {
         if tiles.is_empty() {
             return Err(ExportError::NoSurface(folder.to_owned()));
         }
@@ -40,6 +56,7 @@ impl Mosaic {
             dsm,
             albedo,
             tiles,
+            reference,
             nadir,
             frame,
         })
@@ -60,7 +77,15 @@ impl Mosaic {
     /// # Errors
     /// When a tile cannot be read, or the sun cannot be used.
     pub(super) fn lit(&self, sun: Option<&SunPosition>) -> Result<Lit, ExportError> {
-        Ok(Lit::of_tiles(&self.tiles, (&self.nadir, &self.frame), sun)?)
+        let references = match self.reference.tiles.is_empty() {
+            true => &self.tiles,
+            false => &self.reference.tiles,
+        };
+        Ok(Lit::of_tiles(
+            (&self.tiles, references),
+            (&self.nadir, &self.frame),
+            sun,
+        )?)
     }
 
     /// Textured surface of the mosaic.
@@ -69,6 +94,11 @@ impl Mosaic {
     /// When the first tile, which names the bands, cannot be read.
     pub(super) fn ground(&self) -> Result<TexturedGround, ExportError> {
         let bands = load_file(&self.tiles[0].run)?.bands;
-        Ok(TexturedGround::new(&self.dsm, &self.albedo, &bands, &self.nadir.enu))
+        let white = self.reference.white.unwrap_or_else(|| white_of(&self.albedo, &bands));
+        Ok(TexturedGround::new(
+            (&self.dsm, &self.albedo),
+            (&bands, white),
+            &self.nadir.enu,
+        ))
     }
 }

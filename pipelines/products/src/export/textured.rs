@@ -5,7 +5,7 @@
 //! there may be a gap as wide as the error of a coarse cell.
 
 use super::ExportError;
-use super::lit::Display;
+use super::lit::{Display, shown};
 use crate::dsm::Dsm;
 use glam::Vec3;
 use heliosplat::Raster;
@@ -65,9 +65,15 @@ struct Triangles {
     triangles: Vec<[u32; 3]>,
 }
 
+/// Albedo that is shown white: a high quantile of the bands shown.
+pub fn white_of(albedo: &Raster, bands: &[BandKind]) -> f32 {
+    Display::of(albedo, bands, (0.0, WHITE)).white
+}
+
 impl TexturedGround {
-    /// Textured surface of `dsm`, whose altitudes are above the ellipsoid, with an albedo of `bands` on the same grid.
-    pub(super) fn new(dsm: &Dsm, albedo: &Raster, bands: &[BandKind], enu: &EnuGrid) -> Self {
+    /// Textured surface of `dsm`, whose altitudes are above the ellipsoid, with an albedo of `bands` on the same grid;
+    /// the albedo `white` is shown white.
+    pub(super) fn new((dsm, albedo): (&Dsm, &Raster), (bands, white): (&[BandKind], f32), enu: &EnuGrid) -> Self {
         let (width, height) = (dsm.grid.width, dsm.grid.height);
         let altitude = dsm.raster.plane(0);
         let place = |i: usize| {
@@ -75,8 +81,9 @@ impl TexturedGround {
             Vec3::new(east as f32, north as f32, up as f32)
         };
         let display = Display {
+            bands: shown(bands),
             black: 0.0,
-            ..Display::of(albedo, bands, (0.0, WHITE))
+            white,
         };
         Self {
             width,

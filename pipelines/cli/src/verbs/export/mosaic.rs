@@ -4,7 +4,7 @@ use crate::outcome::CliError;
 use heliosplat_batch::products::RUN;
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_products::dsm::Dsm;
-use heliosplat_products::export::{Mosaic, MosaicTile};
+use heliosplat_products::export::{Mosaic, MosaicTile, Reference};
 use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, bounded};
 use serde::Deserialize;
 use std::path::Path;
@@ -13,6 +13,8 @@ use std::path::Path;
 #[derive(Deserialize)]
 struct MosaicFile {
     pieces: Vec<Piece>,
+    #[serde(default)]
+    blocks: Vec<String>,
     #[serde(default)]
     products: Products,
 }
@@ -39,6 +41,11 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
     let text = bounded::read_text(&path).map_err(|error| fault(&format!("{MOSAIC_FILE} cannot be read ({error})")))?;
     let told: MosaicFile =
         serde_json::from_str(&text).map_err(|error| fault(&format!("{MOSAIC_FILE} is damaged ({error})")))?;
+    if let Some(block) = told.blocks.first() {
+        return Err(fault(&format!(
+            "the mosaic consists of blocks; name the folder of one, such as ../{block}"
+        )));
+    }
     let albedo = folder.join("albedo.tif");
     if !albedo.is_file() {
         return Err(fault(
@@ -80,5 +87,5 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
             gains: gains.next().unwrap_or_default(),
         });
     }
-    Ok(Mosaic::new(folder, dsm, albedo, tiles)?)
+    Ok(Mosaic::new(folder, dsm, albedo, tiles, Reference::default())?)
 }
