@@ -2,6 +2,8 @@
 
 /// Least side of a block, cells.
 pub(super) const SIDE_LEAST: usize = 64;
+/// Side of the smallest block that memory leads to, cells: 60 MiB.
+const FITTED_LEAST: usize = 512;
 /// Ground around a block that its products see, metres. The ground below buildings needs the width of the widest
 /// building (64 m); within this distance, a building of 45 m hides a sun 10 degrees high.
 const AROUND_M: f64 = 256.0;
@@ -41,11 +43,20 @@ pub(super) fn common(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
     [a[0].max(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].min(b[3])]
 }
 
-/// Side of the blocks, cells: `most`, or as many as fit into `memory_bytes` at `bytes_per_cell`.
-pub(super) fn side(most: usize, memory_bytes: f64, bytes_per_cell: f64) -> usize {
-    let fits = (memory_bytes.max(0.0) / bytes_per_cell).sqrt() as usize;
+/// Side of the blocks, cells: the largest up to `most` whose block with the ground around it fits into memory.
+/// `fits` gets the cells of a block, and those of the block with the ground around it.
+pub(super) fn side(most: usize, gsd_m: f64, fits: impl Fn(f64, f64) -> bool) -> usize {
+    let cells = |side: usize| (side * side) as f64;
+    let around = |side: usize| cells(side + 2 * reach_cells(gsd_m));
     // Multiples of the least side, so that the coarse cells of an overview end where blocks end.
-    (most.min(fits) / SIDE_LEAST).max(1) * SIDE_LEAST
+    let sides = (1..=most / SIDE_LEAST).rev().map(|count| count * SIDE_LEAST);
+    let mut fitting = sides.filter(|&side| side <= FITTED_LEAST || fits(cells(side), around(side)));
+    fitting.next().unwrap_or(SIDE_LEAST)
+}
+
+/// Cells of the ground around a block on one side; whole, so that the ground begins on the grid.
+fn reach_cells(gsd_m: f64) -> usize {
+    (AROUND_M / gsd_m).ceil() as usize
 }
 
 /// Cuts a mosaic of cells of `gsd_m` into blocks of `side` cells from its north-western corner on; one block if it is no
@@ -59,8 +70,7 @@ pub(super) fn cut(bounds: [f64; 4], gsd_m: f64, side: usize) -> Vec<Block> {
         let (left, top) = (west + col as f64 * step, north - row as f64 * step);
         let right = if col + 1 == cols { east } else { left + step };
         let bottom = if row + 1 == rows { south } else { top - step };
-        // Whole cells, so that the ground around begins on the grid.
-        let reach = (AROUND_M / gsd_m).ceil() * gsd_m;
+        let reach = reach_cells(gsd_m) as f64 * gsd_m;
         let around = [
             (left - reach).max(west),
             (bottom - reach).max(south),
@@ -102,8 +112,10 @@ mod tests {
 
     #[test]
     fn blocks_are_smaller_where_memory_is_scarce() {
-        assert_eq!(side(4096, 4e9, 200.0), 4096);
-        assert_eq!(side(4096, 2e8, 200.0), 960);
-        assert_eq!(side(4096, -1.0, 200.0), SIDE_LEAST);
+        assert_eq!(side(4096, 0.5, |cells, _| cells * 200.0 < 4e9), 4096);
+        assert_eq!(side(4096, 0.5, |cells, _| cells * 200.0 < 2e8), 960);
+        assert_eq!(side(4096, 0.5, |_, around| around * 100.0 < 4e8), 960);
+        assert_eq!(side(4096, 0.5, |_, _| false), FITTED_LEAST);
+        assert_eq!(side(100, 0.5, |_, _| true), SIDE_LEAST);
     }
 }

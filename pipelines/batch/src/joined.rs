@@ -15,13 +15,15 @@ use heliosplat_products::blend::BANDS;
 use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_products::export::{TILESET, join_tilesets};
 use heliosplat_raster::virtual_raster::{Part, virtual_raster};
-use heliosplat_raster::{GridSpec, ImageSpec, RasterFile, write_atomically, write_cog};
+use heliosplat_raster::{GridSpec, ImageSpec, RasterFile, preview, write_atomically, write_cog};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Most cells of the overview: those of the page.
 const OVERVIEW_CELLS: usize = 1024 * 1024;
+/// Picture of the surface.
+const PICTURE: &str = "dsm.png";
 /// File of the surface model of a block.
 const DSM: &str = "dsm.tif";
 
@@ -171,6 +173,8 @@ fn overview(grid: &GridSpec, blocks: &[Block], work: &JoinedWork, folder: &Path)
         geoid: work.geoid,
     };
     dsm.write(&folder.join(DSM))?;
+    let shade = preview::hillshade(&dsm.altitude(), work.gsd_m * factor as f64);
+    preview::write_png(&folder.with_file_name(PICTURE), &shade)?;
     let mut outputs = dsm::files(DSM);
     if let Some((raster, names)) = reduced(ALBEDO)? {
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -182,7 +186,8 @@ fn overview(grid: &GridSpec, blocks: &[Block], work: &JoinedWork, folder: &Path)
         write_cog(&folder.join(ALBEDO), &spec)?;
         outputs.push(ALBEDO.into());
     }
-    Ok(outputs.into_iter().map(|name| format!("{OVERVIEW}/{name}")).collect())
+    let within = outputs.into_iter().map(|name| format!("{OVERVIEW}/{name}"));
+    Ok(within.chain([PICTURE.to_owned()]).collect())
 }
 
 /// Metrics of the whole mosaic: means of those of the blocks, weighted with their cells.

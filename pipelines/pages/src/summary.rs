@@ -162,6 +162,7 @@ pub fn page(rows: &[Row]) -> String {
             (count(&|state| !state.is_final())) " not done."
         }
         (tile_maps(rows))
+        (pictures(rows))
         div.wide { table {
             tr {
                 th { "unit" } th.words { "kind" } th.words { "state" } th { "time, s" } th { "peak memory, MiB" } th { "estimated, MiB" }
@@ -242,6 +243,21 @@ fn tile_maps(rows: &[Row]) -> Markup {
     }
 }
 
+/// Pictures of the finished mosaics, with links to their pages.
+fn pictures(rows: &[Row]) -> Markup {
+    let mosaics = || rows.iter().filter(|row| row.kind == "mosaic");
+    html! {
+        div.grid {
+            @for (row, address) in mosaics().filter_map(|row| Some((row, address(row)?))) {
+                figure {
+                    a href=(address) { img loading="lazy" src={ "./" (row.unit) "/dsm.png" } alt={ "Hillshade of " (row.unit) }; }
+                    figcaption { (row.unit) }
+                }
+            }
+        }
+    }
+}
+
 fn class(state: State) -> &'static str {
     match state {
         State::Done | State::Skipped => "done",
@@ -256,7 +272,8 @@ fn borders(rows: &[Row]) -> Markup {
         let value = row.metrics.pointer(&format!("/seams/{key}/mean_m"));
         value.and_then(Value::as_f64)
     };
-    let mosaics: Vec<&Row> = rows.iter().filter(|row| metric(row, "border").is_some()).collect();
+    let is_measured = |row: &&Row| row.kind == "mosaic" && metric(row, "border").is_some();
+    let mosaics: Vec<&Row> = rows.iter().filter(is_measured).collect();
     html! {
         @if !mosaics.is_empty() {
             h2 { "Tile-edge consistency" }

@@ -14,10 +14,36 @@ use heliosplat_scene::survey::Survey;
 const BYTES_PER_CELL: f64 = 120.0;
 /// Memory of a mosaic for each cell and band of its albedo, bytes.
 const BYTES_PER_CELL_AND_BAND: f64 = 24.0;
+/// Memory of the hours of sun for each cell of a mosaic and the ground around it, bytes.
+const BYTES_PER_CELL_OF_SUN: f64 = 170.0;
+/// Seconds of the hours of sun for each of these cells.
+const S_PER_CELL_OF_SUN: f64 = 4e-5;
 /// Seconds per cell of each raster of a mosaic.
 const S_PER_CELL: f64 = 2e-6;
 /// Seconds per cell of each raster of a mosaic that is read from its blocks.
 const JOINED_S_PER_CELL: f64 = 2e-7;
+
+/// Memory and time of merging cells.
+struct Cost {
+    /// Bands of the albedo; 0 for surface models alone.
+    bands: f64,
+    /// Rasters that are merged.
+    rasters: f64,
+    /// 1 with hours of sun, else 0.
+    sun: f64,
+}
+
+impl Cost {
+    /// Peak memory, bytes, of a block of `cells`, `around` with the ground around it.
+    fn bytes(&self, cells: f64, around: f64) -> f64 {
+        let merging = (BYTES_PER_CELL + BYTES_PER_CELL_AND_BAND * self.bands) * cells;
+        LEAST_BYTES + merging.max(self.sun * BYTES_PER_CELL_OF_SUN * around)
+    }
+
+    fn seconds(&self, cells: f64, around: f64) -> f64 {
+        LEAST_S + S_PER_CELL * self.rasters * cells + self.sun * S_PER_CELL_OF_SUN * around
+    }
+}
 
 impl Combination<'_> {
     /// Units that merge the tiles of `units`, which they wait for.
@@ -31,75 +57,82 @@ impl Combination<'_> {
                 bounds: tile.area.bounds,
             })
             .collect();
-        let images = tiling.tiles.iter().map(|tile| tile.survey.images).max().unwrap_or(0);
-        let (bands, rasters) = match self.products.dsm_only {
-            true => (0.0, 1.0),
-            // In the worst case each image has its own date, with a raster of shadows.
-            false => (survey.bands as f64, (4 + survey.bands + images) as f64),
-        };
-        let bytes_per_cell = BYTES_PER_CELL + BYTES_PER_CELL_AND_BAND * bands;
+        let cost = self.cost(tiling, survey);
         let memory = self.tiles.memory_bytes().map_or(f64::INFINITY, |bytes| bytes as f64);
-        let side = blocks::side(self.tiles.block, memory - LEAST_BYTES, bytes_per_cell);
-        let blocks = blocks::cut(tiling.bounds, tiling.gsd_m, side);
-        let cells =
-            |[west, south, east, north]: [f64; 4]| (east - west) * (north - south) / (tiling.gsd_m * tiling.gsd_m);
+        let gsd_m = tiling.gsd_m;
+        let side = blocks::side(self.tiles.block, gsd_m, |cells, around| {
+            cost.bytes(cells, around) <= memory
+        });
+        let blocks = blocks::cut(tiling.bounds, gsd_m, side);
+        let cells = |[west, south, east, north]: [f64; 4]| (east - west) * (north - south) / (gsd_m * gsd_m);
+        let cost_of = |block: &Block| {
+            let [cells, around] = [block.bounds, block.around].map(cells);
+            (cost.bytes(cells, around), cost.seconds(cells, around))
+        };
         let work = |block: &Block, colours: Option<&Unit>| MosaicWork {
             tiles: tiles.iter().filter(|tile| block.sees(&tile.bounds)).cloned().collect(),
             colours: colours.map(|unit| unit.id.clone()),
             crs: tiling.crs.clone(),
-            gsd_m: tiling.gsd_m,
+            gsd_m,
             bounds: block.bounds,
             around: block.around,
             truth: survey.truth.dsm.clone(),
             classes: survey.truth.classes.clone(),
             products: self.products.clone(),
         };
-        let of_block = |block: &Block| {
-            let bytes = LEAST_BYTES + bytes_per_cell * cells(block.bounds);
-            (bytes, LEAST_S + S_PER_CELL * rasters * cells(block.bounds))
-        };
         let all: Vec<&Unit> = units.iter().collect();
         if let [one] = blocks.as_slice() {
             let work = Work::Mosaic(work(one, None));
-            return vec![self.unit(format!("{home}/mosaic"), &all, of_block(one), work)];
+            return vec![self.unit(format!("{home}/mosaic"), &all, cost_of(one), work)];
         }
-        let mut joint = Vec::new();
-        if !self.products.dsm_only {
+        let colours = (!self.products.dsm_only).then(|| {
             let work = Work::Colours(ColoursWork {
                 tiles: tiles.clone(),
-                gsd_m: tiling.gsd_m,
+                gsd_m,
                 relit: self.products.sun.is_some(),
             });
             let seconds = LEAST_S + JOINED_S_PER_CELL * cells(tiling.bounds);
-            joint.push(self.unit(format!("{home}/colours"), &all, (LEAST_BYTES, seconds), work));
-        }
-        let colours = joint.first().cloned();
-        let mut merged: Vec<(String, [f64; 4])> = Vec::new();
+            self.unit(format!("{home}/colours"), &all, (LEAST_BYTES, seconds), work)
+        });
+        let mut merged: Vec<Unit> = Vec::new();
+        let mut places = Vec::new();
         for block in &blocks {
             let work = work(block, colours.as_ref());
-            let seen = units.iter().zip(&tiles).filter(|(_, tile)| block.sees(&tile.bounds));
-            let after: Vec<&Unit> = seen.map(|(unit, _)| unit).chain(&colours).collect();
             if !work.tiles.is_empty() {
+                let seen = units.iter().zip(&tiles).filter(|(_, tile)| block.sees(&tile.bounds));
+                let after: Vec<&Unit> = seen.map(|(unit, _)| unit).chain(&colours).collect();
                 let id = format!("{home}/{}", block.name());
-                merged.push((id.clone(), block.bounds));
-                joint.push(self.unit(id, &after, of_block(block), Work::Block(work)));
+                places.push((id.clone(), block.bounds));
+                merged.push(self.unit(id, &after, cost_of(block), Work::Block(work)));
             }
         }
-        let after: Vec<&Unit> = joint.iter().skip(usize::from(colours.is_some())).collect();
-        let largest = (side * side) as f64;
+        let seconds = LEAST_S + JOINED_S_PER_CELL * cost.rasters * cells(tiling.bounds);
+        let bytes = LEAST_BYTES + BYTES_PER_CELL_AND_BAND * cost.bands.max(1.0) * (side * side) as f64;
         let work = Work::Joined(JoinedWork {
-            blocks: merged,
+            blocks: places,
             tiles,
             crs: tiling.crs.clone(),
-            gsd_m: tiling.gsd_m,
+            gsd_m,
             bounds: tiling.bounds,
             geoid: self.products.geoid,
         });
-        let seconds = LEAST_S + JOINED_S_PER_CELL * rasters * cells(tiling.bounds);
-        let bytes = LEAST_BYTES + BYTES_PER_CELL_AND_BAND * bands.max(1.0) * largest;
+        let after: Vec<&Unit> = merged.iter().collect();
         let joined = self.unit(format!("{home}/mosaic"), &after, (bytes, seconds), work);
-        joint.push(joined);
-        joint
+        colours.into_iter().chain(merged).chain([joined]).collect()
+    }
+
+    fn cost(&self, tiling: &Tiling, survey: &Survey) -> Cost {
+        let images = tiling.tiles.iter().map(|tile| tile.survey.images).max().unwrap_or(0);
+        let (bands, rasters) = match self.products.dsm_only {
+            true => (0.0, 1.0),
+            // In the worst case each image has its own date, with a raster of shadows.
+            false => (survey.bands as f64, (4 + survey.bands + images) as f64),
+        };
+        Cost {
+            bands,
+            rasters,
+            sun: f64::from(u8::from(self.products.sun_hours.is_some())),
+        }
     }
 
     /// Joint unit with its key: that of the units that it waits for, and its own work.
