@@ -16,6 +16,7 @@ pub mod plan;
 pub mod products;
 pub mod row;
 pub mod stamp;
+mod store;
 pub mod summary;
 pub mod tiles;
 pub mod unit;

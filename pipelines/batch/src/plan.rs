@@ -67,7 +67,7 @@ pub struct Unit {
     pub runtime_s: u64,
     /// Digest of program, inputs and settings; a stamp with another key is not of this work.
     pub key: String,
-    /// Folder on an object store to which the products are copied.
+    /// Folder on an object store to which the products and the stamp are copied.
     pub deliver: Option<String>,
 }
 
@@ -512,7 +512,7 @@ impl Combination<'_> {
             mem_mb: mebibytes(bytes),
             runtime_s: (LEAST_S + ADJUST_S_PER_PIXEL * pixels).ceil() as u64,
             key: digest(&said),
-            deliver: None,
+            deliver: self.deliver.cloned(),
             work: Work::Adjust(work),
         }
     }

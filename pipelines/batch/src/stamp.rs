@@ -100,10 +100,14 @@ pub(super) fn remove_outputs(folder: &Path) -> Result<(), RasterError> {
 pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
     let folder = out.join(&unit.id);
     let stamp = read(&folder)?;
-    let there = |output: &Output| {
-        output.is_plain() && std::fs::metadata(folder.join(&output.path)).is_ok_and(|data| data.len() == output.bytes)
-    };
-    (stamp.key == unit.key && stamp.unit == unit.id && stamp.outputs.iter().all(there)).then_some(stamp)
+    let there =
+        |output: &Output| std::fs::metadata(folder.join(&output.path)).is_ok_and(|data| data.len() == output.bytes);
+    (is_of(&stamp, unit) && stamp.outputs.iter().all(there)).then_some(stamp)
+}
+
+/// True if a stamp is of a unit with its present key, and names files in its folder alone.
+pub(super) fn is_of(stamp: &Stamp, unit: &Unit) -> bool {
+    stamp.key == unit.key && stamp.unit == unit.id && stamp.outputs.iter().all(Output::is_plain)
 }
 
 /// Locks `folder`, and waits while another process holds the lock; `None` if `stopped` returns true first.

@@ -6,7 +6,8 @@ use super::stamp::finished;
 use heliosplat_pages::summary::{Row, State, csv, json, page};
 use heliosplat_products::stac;
 use heliosplat_raster::RasterError;
-use heliosplat_raster::write::{deliver, write_atomically};
+use heliosplat_raster::virtual_files::deliver;
+use heliosplat_raster::write_atomically;
 use serde_json::Value;
 use std::path::Path;
 

@@ -6,7 +6,8 @@ use super::joined;
 use super::mosaic::mosaic;
 use super::plan::{AdjustWork, ColoursWork, MosaicWork, TileWork, Unit, Units, Work};
 use super::products::{self, COLOURS, RUN, colours_of};
-use super::stamp::{self, Output, STAMP, Stamp, claim, finished};
+use super::stamp::{self, Output, STAMP, Stamp, claim};
+use super::store;
 use heliosplat_evaluate::{EvaluateError, Protocol, error_map, evaluate_dsm, evaluate_raster};
 use heliosplat_fitting::checkpoint;
 use heliosplat_fitting::program::build;
@@ -17,7 +18,7 @@ use heliosplat_pages::{report, view};
 use heliosplat_products::{dsm, model, seams};
 use heliosplat_raster::bounded::read_text;
 use heliosplat_raster::preview;
-use heliosplat_raster::write::{deliver, write_atomically};
+use heliosplat_raster::write_atomically;
 use heliosplat_satellite::config::{Align, SatelliteConfig};
 use heliosplat_satellite::run_file::CUT;
 use heliosplat_satellite::shared_cameras::{SharedCameras, shared_cameras};
@@ -51,7 +52,7 @@ pub fn do_unit(
     session: &Session,
 ) -> Result<(Stamp, bool), BatchError> {
     for after in &unit.after {
-        if finished(out, &units.unit(after)?).is_none() {
+        if store::taken(out, &units.unit(after)?)?.is_none() {
             return Err(BatchError::Refused(format!(
                 "{}: {after} must be finished before; run it, or the whole batch",
                 unit.id
@@ -63,7 +64,7 @@ pub fn do_unit(
     let Some(_claim) = claim(&folder, &|| session.stopped())? else {
         return Err(BatchError::Interrupted(format!("{}: stopped before it began", unit.id)));
     };
-    if let Some(stamp) = finished(out, unit) {
+    if let Some(stamp) = store::taken(out, unit)? {
         return Ok((stamp, true));
     }
     begin(&folder, unit)?;
@@ -76,13 +77,6 @@ pub fn do_unit(
         Work::Joined(work) => joined::join(work, out, &folder)?,
         Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
-    if let Some(to) = &unit.deliver {
-        // The page of a mosaic links to the pages of the runs; other files of a run are not delivered.
-        let told = |name: &&String| !name.starts_with(RUN) || name.ends_with(REPORT) || name.ends_with(SUN);
-        for name in outputs.iter().filter(told) {
-            deliver(&folder.join(name), Path::new(&format!("{to}/{}/{name}", unit.id)))?;
-        }
-    }
     let seconds = metrics["seconds"]
         .as_f64()
         .unwrap_or_else(|| begun.elapsed().as_secs_f64());
@@ -100,6 +94,11 @@ pub fn do_unit(
     }
     let text = serde_json::to_string_pretty(&stamp).unwrap_or_default();
     write_atomically(&folder.join(STAMP), text.as_bytes())?;
+    if let Err(error) = store::keep(unit, &folder, &stamp) {
+        // A unit counts as finished when its products are on the store.
+        let _ = std::fs::remove_file(folder.join(STAMP));
+        return Err(error.into());
+    }
     Ok((stamp, false))
 }
 

@@ -2,6 +2,7 @@
 
 use super::SceneError;
 use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
+use heliosplat_raster::virtual_files::read_virtual;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_raster::{RasterError, is_virtual};
 use sha2::{Digest, Sha256};
@@ -68,8 +69,15 @@ pub struct Seen {
     changed_ns: u128,
 }
 
-/// Size and modification time of a file, from its metadata alone; both are zero if it does not exist.
+/// Size and modification time of a file, from its metadata alone; both are zero if it does not exist. Of a file on a
+/// virtual file system, a hash of its beginning stands for the time.
 pub fn seen(path: &Path) -> Seen {
+    if is_virtual(path) {
+        let (start, bytes) = read_virtual(path, HEADER_BYTES).unwrap_or_default();
+        let hash = Sha256::digest(&start);
+        let changed_ns = hash.iter().take(16).fold(0, |all, &byte| all << 8 | u128::from(byte));
+        return Seen { bytes, changed_ns };
+    }
     let data = std::fs::metadata(path).ok();
     let changed = data.as_ref().and_then(|data| data.modified().ok());
     let since = changed.and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
@@ -129,7 +137,7 @@ impl Hashes {
     }
 
     /// Names and hashes of `files`, one line each. For `rasters`, which may be too large to read, size, modification
-    /// time and header are used; for a file on a virtual file system, its name. Missing files are left out.
+    /// time and header are used; for a file on a virtual file system, size and header. Missing files are left out.
     ///
     /// # Errors
     /// [`SceneError::Unreadable`] when a file cannot be read.
@@ -138,7 +146,8 @@ impl Hashes {
         for file in files {
             let name = file.file_name().unwrap_or_default().to_string_lossy();
             if is_virtual(file) {
-                text += &format!("{}\n", file.display());
+                let Seen { bytes, changed_ns } = seen(file);
+                text += &format!("{} {bytes} {changed_ns}\n", file.display());
             } else if !file.is_file() {
                 continue;
             } else if rasters.contains(file.as_path()) {

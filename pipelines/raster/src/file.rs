@@ -83,20 +83,6 @@ pub fn is_remote(path: &Path) -> bool {
     is_virtual(path) && (REMOTE.iter().any(|system| text.contains(system)) || text.contains("://"))
 }
 
-/// Paths in a folder of a virtual file system, sorted. A remote folder enables GDAL's remote file systems from then on.
-///
-/// # Errors
-/// [`RasterError::Missing`] when there is no such folder, or it cannot be reached.
-pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>, RasterError> {
-    if is_remote(folder) {
-        messages::allow_network();
-    }
-    let names = messages::collect(|| gdal::vsi::read_dir(folder, false));
-    let mut names = names.map_err(|_| RasterError::Missing(folder.to_owned()))?;
-    names.sort();
-    Ok(names.into_iter().map(|name| folder.join(name)).collect())
-}
-
 impl RasterFile {
     /// Opens a file for reading. Files beside it that GDAL may read are checked first.
     ///

@@ -22,17 +22,19 @@ mod stacked;
 pub mod streamed;
 pub mod temporary;
 pub mod tiled;
+pub mod virtual_files;
 pub mod virtual_raster;
 pub mod write;
 
 pub use band::{BandInfo, Colour, Window};
 pub use crs::{Crs, CrsTransform};
-pub use file::{GeoRaster, RasterFile, is_virtual, list_virtual};
+pub use file::{GeoRaster, RasterFile, is_remote, is_virtual};
 pub use geoid::Geoid;
 pub use grid::{EnuGrid, GeoTransform, GridSpec};
 pub use pansharpen::GridRelation;
 pub use streamed::StreamedCog;
 pub use tiled::Tile;
+pub use virtual_files::list_virtual;
 pub use write::{
     Bytes, ImageSpec, SampleType, copy_with_rpc, write_atomically, write_byte_cog, write_cog, write_geotiff,
 };

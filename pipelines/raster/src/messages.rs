@@ -27,15 +27,21 @@ pub fn install() {
     });
 }
 
-/// Seconds that a server may take to answer and to deliver, unless the environment sets them.
-const PATIENCE: [(&str, &str); 2] = [("GDAL_HTTP_CONNECTTIMEOUT", "20"), ("GDAL_HTTP_TIMEOUT", "300")];
+/// Seconds that a server may take to answer and to deliver, number of repetitions of a request that it refuses for a
+/// moment, and seconds before the first of them, unless the environment sets them.
+const PATIENCE: [(&str, &str); 4] = [
+    ("GDAL_HTTP_CONNECTTIMEOUT", "20"),
+    ("GDAL_HTTP_TIMEOUT", "300"),
+    ("GDAL_HTTP_MAX_RETRY", "5"),
+    ("GDAL_HTTP_RETRY_DELAY", "0.5"),
+];
 
 /// Enables GDAL's remote file systems for this process, because the user named a path on one.
 pub fn allow_network() {
     install();
     let mut done = gdal::config::clear_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME");
-    for (key, seconds) in PATIENCE.iter().filter(|(key, _)| std::env::var_os(key).is_none()) {
-        done = done.and(gdal::config::set_config_option(key, seconds));
+    for (key, value) in PATIENCE.iter().filter(|(key, _)| std::env::var_os(key).is_none()) {
+        done = done.and(gdal::config::set_config_option(key, value));
     }
     if done.is_err() {
         tracing::debug!("GDAL takes no options");
