@@ -199,3 +199,30 @@ impl Drop for VirtualFile {
         unsafe { gdal_sys::VSIFCloseL(self.handle) };
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_comes_back_from_a_virtual_file_system_as_it_was() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let [source, copy] = ["a.bin", "b.bin"].map(|name| folder.path().join(name));
+        // More than one part.
+        let bytes: Vec<u8> = (0..PART + 1000).map(|k| (k % 251) as u8).collect();
+        std::fs::write(&source, &bytes).expect("written");
+        let stored = Path::new("/vsimem/virtual_files_test/a.bin");
+        deliver(&source, stored).expect("delivered");
+        fetch(stored, &copy).expect("fetched");
+        assert!(std::fs::read(&copy).expect("readable") == bytes);
+        let (start, size) = read_virtual(stored, 100).expect("there");
+        assert!(start == bytes[..100] && size == bytes.len() as u64);
+        let absent = Path::new("/vsimem/virtual_files_test/none.bin");
+        assert!(read_virtual(absent, 100).is_none());
+        assert!(matches!(fetch(absent, &copy), Err(RasterError::Missing(_))));
+        assert_eq!(
+            list_virtual(Path::new("/vsimem/virtual_files_test")).expect("listed"),
+            [stored]
+        );
+    }
+}
