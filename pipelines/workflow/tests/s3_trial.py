@@ -124,12 +124,15 @@ def main():
         shutil.copytree("plan", f"machine{place}")
         run("batch", "store.toml", "--out", f"machine{place}", "--only", unit["id"])
     compared, unlike = 0, []
-    for file in sorted(pathlib.Path("disk").rglob("*")):
-        name = file.relative_to("disk")
-        if file.suffix in (".tif", ".vrt", ".ply", ".laz", ".glb"):
-            kept = client.get_object(Bucket="bucket", Key=f"out/{name}")["Body"].read()
-            compared += 1
-            unlike += [str(name)] if kept != file.read_bytes() else []
+    for stamp in sorted(pathlib.Path("disk").rglob("unit.json")):
+        for output in json.loads(stamp.read_text())["outputs"]:
+            file = stamp.parent / output["path"]
+            # Pages and metrics name times and paths.
+            if file.suffix in (".tif", ".vrt", ".ply", ".laz", ".glb"):
+                name = str(file.relative_to("disk"))
+                kept = client.get_object(Bucket="bucket", Key=f"out/{name}")["Body"].read()
+                compared += 1
+                unlike += [name] if kept != file.read_bytes() else []
     print(f"{len(units)} units, {Proxy.count} requests, one in {REFUSED} refused: {compared} files, {len(unlike)} differ {unlike[:5]}")
     sys.exit(1 if unlike or not compared else 0)
 
