@@ -1,4 +1,4 @@
-//! Makes a scene: `cargo run --release -p heliosplat-synth --example satellite -- OUT [tiny|block|city] [SEED]`.
+//! Makes a scene: `cargo run --release -p heliosplat-synth --example satellite -- OUT [tiny|block|city|district] [SEED]`.
 
 use heliosplat_synth::{SatelliteRequest, Site, write_satellite};
 use std::path::PathBuf;
@@ -10,7 +10,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Some("tiny") => Site::Tiny,
         None | Some("block") => Site::Block,
         Some("city") => Site::City,
-        Some(other) => return Err(format!("no site is called {other}: tiny, block or city").into()),
+        Some("district") => Site::District,
+        Some(other) => return Err(format!("no site is called {other}: tiny, block, city or district").into()),
     };
     let seed = arguments.next().map_or(Ok(1), |text| text.parse())?;
     let request = SatelliteRequest {

@@ -1,6 +1,7 @@
 //! Bundles of images as vendors deliver them: a panchromatic file in full resolution and a multispectral one with
 //! pixels four times as wide, each with its own camera.
 
+use crate::crop::Canvas;
 use crate::error::SynthError;
 use crate::noise::hash2;
 use crate::plan::ViewPlan;
@@ -33,7 +34,8 @@ pub(crate) fn panchromatic_exposure<'a>(exposure: &Exposure<'a>) -> Exposure<'a>
     }
 }
 
-/// Writes the multispectral file of a view from its image `fine` in full resolution and the camera of that image.
+/// Writes the multispectral file of a view from its image `fine` in full resolution, the camera of that image, and the
+/// canvas of the image, if any.
 ///
 /// # Errors
 /// `SynthError::Failed` when the file cannot be written.
@@ -41,7 +43,7 @@ pub(crate) fn write_multispectral(
     staging: &Staging,
     request: &SatelliteRequest,
     view: &ViewPlan,
-    fine_rpc: &Rpc,
+    (fine_rpc, fine_canvas): (&Rpc, Option<Canvas>),
     fine: &Image,
 ) -> Result<(), SynthError> {
     let names = request.bands.names();
@@ -57,7 +59,8 @@ pub(crate) fn write_multispectral(
         items: &image_items(view, request, 0.0),
         rpc: Some(heliosplat_rpc::write::geotiff_tag(&coarse_camera(fine_rpc))),
         grid: None,
-        nodata: None,
+        nodata: fine_canvas.map(|_| 0.0),
+        canvas: fine_canvas.map(|canvas| canvas.coarser(RATIO)),
     };
     write(&staging.path(&format!("{}-M1BS.tif", view.name))?, &raster)
 }

@@ -254,6 +254,8 @@ fn view_plans(
     let first_azimuth_deg: f64 = random.random_range(0.0..360.0);
     let full_px = (FULL_SCENE_FACTOR * image_width_px(request))
         .max(FULL_SCENE_LEAST_PX)
+        // An RPC holds little beyond the scene that it was fitted over.
+        .max(request.canvas_px.unwrap_or(0) as f64)
         .round();
     let mut views: Vec<ViewPlan> = (0..count)
         .map(|index| {

@@ -46,6 +46,8 @@ pub enum Site {
     Block,
     /// 256 m x 256 m: a neighbourhood.
     City,
+    /// 1 km x 1 km: a town with a centre, suburbs, a large park with a lake, and a hill.
+    District,
 }
 
 impl Site {
@@ -55,13 +57,14 @@ impl Site {
             Site::Tiny => 48.0,
             Site::Block => 128.0,
             Site::City => 256.0,
+            Site::District => 1000.0,
         }
     }
 
     /// Default number of views.
     pub fn default_views(self) -> usize {
         match self {
-            Site::Tiny => 8,
+            Site::Tiny | Site::District => 8,
             Site::Block => 12,
             Site::City => 16,
         }
@@ -71,6 +74,7 @@ impl Site {
     pub fn default_dates(self) -> usize {
         match self {
             Site::Tiny => 5,
+            Site::District => 6,
             Site::Block => 7,
             Site::City => 9,
         }
@@ -82,6 +86,15 @@ impl Site {
             Site::Tiny => "tiny",
             Site::Block => "block",
             Site::City => "city",
+            Site::District => "district",
+        }
+    }
+
+    /// Altitudes below and above the site's centre that images are made to cover, metres.
+    pub(crate) fn covered_altitudes_m(self) -> [f64; 2] {
+        match self {
+            Site::Tiny | Site::Block | Site::City => [-10.0, 44.0],
+            Site::District => [-32.0, 84.0],
         }
     }
 }
@@ -166,6 +179,10 @@ pub struct SatelliteRequest {
     /// Width and height of every image, 16 to 8192 pixels and at most 2 km; if absent, the size that covers the site at
     /// all its altitudes.
     pub size_px: Option<usize>,
+    /// Width and height of the file of every image, 16 to 100,000 pixels; the image lies at an offset, and the rest is
+    /// missing (0) and takes no space. The sensor's scene is at least as wide, so that the RPC holds over the whole file. If absent, a file is as large as its image. Absent from the manifest if absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub canvas_px: Option<usize>,
     /// Bands of the images.
     pub bands: BandSet,
     /// Bits per sample: 16 for linear counts of 11 bits, as vendors deliver them; 8 for display images with the
@@ -215,6 +232,7 @@ impl Default for SatelliteRequest {
             dates: None,
             gsd_m: None,
             size_px: None,
+            canvas_px: None,
             bands: BandSet::RgbNir,
             bits: 16,
             pointing_bias_px: 0.0,
@@ -310,6 +328,11 @@ impl SatelliteRequest {
         }
         if self.size_px.is_some_and(|size| size as f64 * self.gsd() > 2000.0) {
             return bad("images wider than 2 km; lower the size or the sampling distance".into());
+        }
+        if let Some(canvas) = self.canvas_px
+            && !(16..=100_000).contains(&canvas)
+        {
+            return bad(format!("a canvas of {canvas} px; ask for 16 to 100000"));
         }
         if self.bits != 8 && self.bits != 16 {
             return bad(format!("{} bits per sample; ask for 8 or 16", self.bits));

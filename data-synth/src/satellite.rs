@@ -3,7 +3,7 @@
 use crate::city::{City, CityPlan};
 use crate::clouds::{CloudField, CloudSize};
 use crate::cover::Waves;
-use crate::crop::Crop;
+use crate::crop::{Canvas, Crop};
 use crate::delivery;
 use crate::encoding::{Encoding, MEAN_GAIN};
 use crate::error::SynthError;
@@ -30,14 +30,13 @@ use heliosplat_rpc::fit::RpcFit;
 use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
 use jiff::tz::TimeZone;
 use nalgebra::Vector3;
+use rayon::prelude::*;
 use std::path::Path;
 
 /// Pixels that every image shows beyond the site on all sides, at all its altitudes.
 const MARGIN_PX: f64 = 12.0;
 /// Margin of the city beyond the images, metres, so that shadows fall into the images.
 const SURROUNDINGS_M: f64 = 50.0;
-/// Altitudes above and below the site's centre that images are made to cover, metres.
-const COVERED_ALTITUDES_M: [f64; 2] = [-10.0, 44.0];
 /// Gain of scenes with snow relative to other scenes, times the sine of the sun's elevation.
 const SNOWY_EXPOSURE: f64 = 1.25;
 
@@ -46,7 +45,9 @@ struct ImageCamera {
     sensor: Sensor,
     crop: Crop,
     fit: RpcFit,
-    /// RPC of the crop, with the requested bias.
+    /// Larger file that the image lies in, if requested.
+    canvas: Option<Canvas>,
+    /// RPC of the file, with the requested bias.
     rpc: Rpc,
 }
 
@@ -126,7 +127,7 @@ pub fn write_satellite(
             let (view, image) = match request.delivery {
                 Delivery::Whole => (view.clone(), image),
                 Delivery::PanMs => {
-                    delivery::write_multispectral(&staging, request, view, &camera.rpc, &image)?;
+                    delivery::write_multispectral(&staging, request, view, (&camera.rpc, camera.canvas), &image)?;
                     let exposure = delivery::panchromatic_exposure(&exposure);
                     let pan = render(&scene, &exposure, &mut |_| ());
                     (delivery::panchromatic_view(view), pan)
@@ -237,10 +238,31 @@ fn camera(
             (Sensor::Rational(sensor), crop, fit)
         }
     };
-    let mut rpc = fit.rpc.cropped(crop.col0, crop.row0);
+    let canvas = (request.canvas_px)
+        .map(|size| canvas_of(&crop, &fit.rpc, size))
+        .transpose()?;
+    let [col, row] = canvas.map_or([0.0; 2], |canvas| [canvas.col as f64, canvas.row as f64]);
+    let mut rpc = fit.rpc.cropped(crop.col0 - col, crop.row0 - row);
     rpc.sample_offset += view.rpc_bias_px[0];
     rpc.line_offset += view.rpc_bias_px[1];
-    Ok(ImageCamera { sensor, crop, fit, rpc })
+    Ok(ImageCamera {
+        sensor,
+        crop,
+        fit,
+        canvas,
+        rpc,
+    })
+}
+
+/// The canvas of an image, with the centre of the full scene's RPC in its middle if there is room.
+fn canvas_of(crop: &Crop, full_scene: &Rpc, size: usize) -> Result<Canvas, SynthError> {
+    let centre_px = [full_scene.sample_offset, full_scene.line_offset];
+    Canvas::around(crop, centre_px, size).ok_or_else(|| {
+        SynthError::BadRequest(format!(
+            "a canvas of {size} px, but an image has {} x {} px",
+            crop.width, crop.height
+        ))
+    })
 }
 
 fn crop_of(
@@ -252,7 +274,7 @@ fn crop_of(
     let side = grid.size as f64;
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     for [col, row] in [[0.0, 0.0], [side, 0.0], [0.0, side], [side, side]] {
-        for altitude_m in COVERED_ALTITUDES_M {
+        for altitude_m in request.site.covered_altitudes_m() {
             let [lon_deg, lat_deg] = grid.lon_lat(col, row);
             let height_m = frame.origin.height_m + altitude_m;
             let pixel = project(frame.enu_from_geo(GeoPoint {
@@ -292,16 +314,18 @@ fn crop_of(
 /// Plan of a city that extends beyond every image.
 fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
     let mut reach_m = 0.5 * request.site.extent_m();
+    let [lowest_m, _] = request.site.covered_altitudes_m();
     for ImageCamera { sensor, crop, .. } in cameras {
         for (col, row) in [(0, 0), (crop.width, 0), (0, crop.height), (crop.width, crop.height)] {
             let ray = sensor.at_line(crop.row0 + row as f64).ray(crop.col0 + col as f64);
-            let ground = ray.at((COVERED_ALTITUDES_M[0] - ray.origin.z) / ray.direction.z);
+            let ground = ray.at((lowest_m - ray.origin.z) / ray.direction.z);
             reach_m = reach_m.max(ground.x.abs()).max(ground.y.abs());
         }
     }
     CityPlan {
         half_extent_m: reach_m + SURROUNDINGS_M,
         longest_block_m: if request.site == Site::Tiny { 54.0 } else { 92.0 },
+        town: request.site == Site::District,
         cover: request.cover,
     }
 }
@@ -336,7 +360,7 @@ fn changed_at(city: &City, collection: &Collection, frame: &LocalFrame, grid: &T
         });
         city.changed_at(at.x, at.y).map_or(0.0, day)
     };
-    (0..grid.size * grid.size).map(of_cell).collect()
+    (0..grid.size * grid.size).into_par_iter().map(of_cell).collect()
 }
 
 /// Setting of the truth under additional suns: that of the image with the highest sun.
@@ -396,7 +420,8 @@ fn write_image(
         items: &items,
         rpc: Some(heliosplat_rpc::write::geotiff_tag(&camera.rpc)),
         grid: None,
-        nodata: None,
+        nodata: camera.canvas.map(|_| 0.0),
+        canvas: camera.canvas,
     };
     write(&staging.path(&format!("{}.tif", view.name))?, &raster)?;
     let write_mask = |name: &'static str, mask: &[u8], what: &str| {
@@ -404,6 +429,7 @@ fn write_image(
             samples: Samples::U8(mask),
             bands: &[name],
             items: &[("DESCRIPTION".to_string(), what.to_string())],
+            nodata: None,
             ..raster.clone()
         };
         write(&staging.path(&format!("truth/{name}_{}.tif", view.name))?, &raster)
@@ -416,7 +442,8 @@ fn write_image(
             "1 where clouds hide a tenth of the pixel or more",
         )?;
     }
-    let json = satnerf_json(view, &camera.crop, &camera.rpc, altitudes_m).map_err(SynthError::camera(&view.name))?;
+    let json = satnerf_json(view, (&camera.crop, camera.canvas), &camera.rpc, altitudes_m)
+        .map_err(SynthError::camera(&view.name))?;
     staging.text(&format!("{}.json", view.name), &format!("{json:#}\n"))
 }
 
@@ -439,6 +466,7 @@ fn image_summary(view: &ViewPlan, camera: &ImageCamera, image: &Image) -> ImageS
         date: view.date,
         held_out: view.held_out,
         size_px: [image.width, image.height],
+        canvas_offset_px: camera.canvas.map(|canvas| [canvas.col, canvas.row]),
         gsd_m: view.geometry.gsd_m,
         sun_azimuth_deg: view.sun.azimuth_rad.to_degrees(),
         sun_elevation_deg: view.sun.elevation_rad.to_degrees(),
@@ -489,6 +517,7 @@ mod tests {
             let plan = CityPlan {
                 half_extent_m: 100.0,
                 longest_block_m: 92.0,
+                town: false,
                 cover: None,
             };
             let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid, 0);
@@ -509,7 +538,11 @@ mod tests {
     #[test]
     fn every_site_stays_within_the_altitudes_that_images_are_made_to_cover() {
         for seed in 100..116 {
-            for site in [Site::Tiny, Site::Block, Site::City] {
+            for site in [Site::Tiny, Site::Block, Site::City, Site::District] {
+                // A whole town takes seconds.
+                if site == Site::District && seed >= 102 {
+                    continue;
+                }
                 let request = SatelliteRequest {
                     site,
                     seed,
@@ -522,14 +555,82 @@ mod tests {
                 let plan = CityPlan {
                     half_extent_m: 0.5 * site.extent_m() + 20.0,
                     longest_block_m: 70.0,
+                    town: site == Site::District,
                     cover: None,
                 };
                 let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid, 0);
                 let [low_m, high_m] = truth.altitude_range_m().map(|m| m - collection.origin.height_m);
-                assert!(
-                    low_m > COVERED_ALTITUDES_M[0] && high_m < COVERED_ALTITUDES_M[1],
-                    "{seed}: {low_m} {high_m}"
-                );
+                let [lowest_m, highest_m] = site.covered_altitudes_m();
+                assert!(low_m > lowest_m && high_m < highest_m, "{seed}: {low_m} {high_m}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_district_has_the_make_up_of_a_town() {
+        let request = SatelliteRequest {
+            site: Site::District,
+            seed: 41,
+            gsd_m: Some(4.0),
+            ..Default::default()
+        };
+        let collection = Collection::new(&request).expect("a plan");
+        let frame = LocalFrame::new(collection.origin);
+        let extent_m = request.site.extent_m();
+        let grid = TruthGrid::around(collection.origin, extent_m, 4.0);
+        let plan = CityPlan {
+            half_extent_m: 0.5 * extent_m,
+            longest_block_m: 92.0,
+            town: true,
+            cover: None,
+        };
+        let truth = survey_city(&request, &City::new(41, plan), &frame, &grid, 0);
+        let share = class_share(&truth);
+        let of = |name: &str| share.get(name).copied().unwrap_or(0.0);
+        println!("{share:?}");
+        assert!((0.15..0.30).contains(&of("building")) && (0.2..0.35).contains(&of("road")));
+        assert!(of("vegetation") > 0.06 && of("water") * extent_m * extent_m > 1500.0);
+        // The hill and the general slope, without what stands on them.
+        let ground = |pick: fn(f32, f32) -> f32| truth.ground_m.iter().copied().reduce(pick).unwrap_or(f32::NAN);
+        assert!(ground(f32::max) - ground(f32::min) > 15.0);
+        // Houses are low, towers are high.
+        let heights_m: Vec<f32> = (0..truth.class.len())
+            .filter(|&cell| truth.class[cell] == Class::Building as u8)
+            .map(|cell| truth.altitude_m[cell] - truth.ground_m[cell])
+            .collect();
+        let higher = |metres: f32| heights_m.iter().filter(|&&m| m > metres).count() as f64 / heights_m.len() as f64;
+        assert!(
+            higher(20.0) > 0.005 && higher(12.0) < 0.5,
+            "{} {}",
+            higher(20.0),
+            higher(12.0)
+        );
+    }
+
+    #[test]
+    fn cameras_hold_at_the_corners_of_a_canvas() {
+        for (site, canvas) in [(Site::Tiny, 2400), (Site::Tiny, 40_000), (Site::District, 40_000)] {
+            for seed in 0..20 {
+                let request = SatelliteRequest {
+                    site,
+                    seed,
+                    canvas_px: Some(canvas),
+                    ..Default::default()
+                };
+                let collection = Collection::new(&request).expect("a plan");
+                let frame = LocalFrame::new(collection.origin);
+                let grid = TruthGrid::around(collection.origin, site.extent_m(), request.gsd());
+                for view in &collection.views {
+                    let rpc = camera(&request, &frame, &grid, view).expect("a camera").rpc;
+                    let last = canvas as f64 - 1.0;
+                    for (col, row) in [(0.0, 0.0), (last, 0.0), (0.0, last), (last, last)] {
+                        for height_m in [-60.0, 0.0, 120.0] {
+                            let height_m = collection.origin.height_m + height_m;
+                            let corner = rpc.localise(heliosplat_rpc::ImagePoint { col, row }, height_m);
+                            assert!(corner.is_ok(), "{} on {canvas} px: {corner:?}", view.name);
+                        }
+                    }
+                }
             }
         }
     }

@@ -41,8 +41,11 @@ pub struct ImageSummary {
     pub date: usize,
     /// True if the image is listed in `test.txt`.
     pub held_out: bool,
-    /// Columns and rows.
+    /// Columns and rows, without the canvas.
     pub size_px: [usize; 2],
+    /// Column and row of the canvas at which the image begins; absent from the manifest without a canvas.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub canvas_offset_px: Option<[usize; 2]>,
     /// Ground sampling distance, metres.
     pub gsd_m: f64,
     /// Angle of the sun clockwise from north, degrees.

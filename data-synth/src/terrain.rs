@@ -1,6 +1,6 @@
 //! The ground as a height field: square cells of two triangles each, so that every ray meets it exactly.
 
-use crate::noise::{hash2, noise};
+use crate::noise::{hash2, noise, smoothstep};
 use crate::ray::Ray;
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -158,6 +158,28 @@ pub(crate) struct Relief {
     seed: u32,
     slope: [f64; 2],
     amplitude_m: f64,
+    hill: Option<Hill>,
+}
+
+/// A slope on one side of a site, up to a plateau.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Hill {
+    /// Unit vector (east, north) uphill.
+    pub(crate) towards: [f64; 2],
+    /// Distance of the foot from the site's centre, metres.
+    pub(crate) foot_m: f64,
+    /// Horizontal length of the slope, metres.
+    pub(crate) length_m: f64,
+    /// Altitude of the plateau above the foot, metres.
+    pub(crate) rise_m: f64,
+}
+
+impl Hill {
+    /// Altitude above the foot at a place (metres east and north of the site's centre), metres.
+    pub(crate) fn height_m(&self, x: f64, y: f64) -> f64 {
+        let along_m = x * self.towards[0] + y * self.towards[1];
+        self.rise_m * smoothstep(self.foot_m, self.foot_m + self.length_m, along_m)
+    }
 }
 
 impl Relief {
@@ -171,6 +193,15 @@ impl Relief {
             seed: hash2(seed, 0x7E12) as u32,
             slope: [slope * direction.cos(), slope * direction.sin()],
             amplitude_m: random.random_range(1.0..2.2),
+            hill: None,
+        }
+    }
+
+    /// The relief with a hill on top.
+    pub(crate) fn with(self, hill: Hill) -> Self {
+        Self {
+            hill: Some(hill),
+            ..self
         }
     }
 
@@ -179,7 +210,8 @@ impl Relief {
         let swell = noise(self.seed, x / 130.0, y / 130.0) * 1.4
             + noise(self.seed ^ 0x55, x / 57.0, y / 57.0) * 0.5
             + noise(self.seed ^ 0xAA, x / 23.0, y / 23.0) * 0.12;
-        self.slope[0] * x + self.slope[1] * y + self.amplitude_m * swell
+        let hill_m = self.hill.map_or(0.0, |hill| hill.height_m(x, y));
+        self.slope[0] * x + self.slope[1] * y + self.amplitude_m * swell + hill_m
     }
 }
 

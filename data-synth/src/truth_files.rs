@@ -55,6 +55,7 @@ impl TruthFolder<'_> {
             rpc: None,
             grid: Some(self.grid),
             nodata,
+            canvas: None,
         };
         write(&self.staging.path(&format!("truth/{name}.tif"))?, &raster)
     }

@@ -202,3 +202,82 @@ set = { \"train.iterations\" = 4 }
         "{mosaic}"
     );
 }
+
+#[test]
+fn a_canvas_changes_no_surface_and_stores_only_the_image() {
+    // As wide as the scene of the sensor; a wider canvas would widen the scene.
+    const CANVAS_PX: u64 = 2400;
+    let home = tempdir().expect("a temporary folder");
+    let path = |name: &str| home.path().join(name).display().to_string();
+    let [plain, canvas] = ["plain", "canvas"].map(path);
+    let words = "synth satellite --site tiny --seed 5 --views 4 --size 240 --out";
+    json(&words.split(' ').chain([plain.as_str()]).collect::<Vec<_>>());
+    let words = format!("{words} {canvas} --canvas {CANVAS_PX}");
+    let made = json(&words.split(' ').collect::<Vec<_>>());
+    for image in made["images"].as_array().expect("images") {
+        let name = image["name"].as_str().expect("a name");
+        let of = |key: &str| image[key].as_array().expect("numbers").clone();
+        let (offset, size) = (of("canvas_offset_px"), of("size_px"));
+        let file = home.path().join(format!("canvas/{name}.tif"));
+        let stored = std::fs::metadata(&file).expect("there").len();
+        // Whole tiles of 256 pixels around 240, with four bands of two bytes, and the index of the tiles.
+        assert!(stored < 4 * 256 * 256 * 8 + 10_000, "{stored} bytes");
+        let json: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(file.with_extension("json")).expect("readable")).expect("JSON");
+        assert_eq!(
+            (&json["width"], &json["height"]),
+            (&CANVAS_PX.into(), &CANVAS_PX.into())
+        );
+        // JSON and tag place the site's centre in the part of the file that holds the image.
+        let origin = &made["origin"];
+        let place = ["lon_deg", "lat_deg", "height_m"].map(|key| origin[key].as_f64().expect("a number"));
+        let in_file = |camera: heliosplat_rpc::Rpc| {
+            let [lon_deg, lat_deg, height_m] = place;
+            camera.project(heliosplat_rpc::GeoPoint {
+                lon_deg,
+                lat_deg,
+                height_m,
+            })
+        };
+        for preference in [RpcPreference::Json, RpcPreference::Tag] {
+            let at = in_file(camera_of(&file, preference).expect("a camera"));
+            for (pixel, axis) in [(at.col, 0), (at.row, 1)] {
+                let first = offset[axis].as_f64().expect("a number");
+                let last = first + size[axis].as_f64().expect("a number");
+                assert!((first..last).contains(&pixel), "{name}: {pixel}");
+            }
+        }
+    }
+    // A part of the site, so that windows end at no edge of an image.
+    let grid = &made["grid"];
+    let of = |key: &str| grid[key].as_f64().expect("a number");
+    let (west, north) = (of("west_m") + 12.0, of("north_m") - 12.0);
+    let zone = &grid["zone"];
+    let epsg = 32600 + zone["number"].as_u64().expect("a zone") + 100 * u64::from(zone["south"] == true);
+    let area = format!("{west},{},{},{north},EPSG:{epsg}", north - 24.0, west + 24.0);
+    let surface = |scene: &str| {
+        let out = format!("{scene}.tif");
+        json(&["dsm", scene, "--from", "sweep", "--area", &area, "--out", &out]);
+        heliosplat_raster::GeoRaster::read(Path::new(&out))
+            .expect("a surface")
+            .raster
+            .values
+    };
+    let (plain, canvas) = (surface(&plain), surface(&canvas));
+    assert_eq!(plain.len(), canvas.len());
+    for (a, b) in plain.iter().zip(&canvas) {
+        assert!((a - b).abs() < 1e-3 || a.is_nan() && b.is_nan(), "{a} and {b}");
+    }
+}
+
+#[test]
+fn a_district_is_a_square_kilometre() {
+    let home = tempdir().expect("a temporary folder");
+    let scene = home.path().join("scene").display().to_string();
+    let words = "synth satellite --site district --seed 3 --views 2 --gsd 4 --size 64 --bands pan --out";
+    let made = json(&words.split(' ').chain([scene.as_str()]).collect::<Vec<_>>());
+    let side_m = made["grid"]["size"].as_f64().expect("cells") * made["grid"]["cell_m"].as_f64().expect("metres");
+    assert_eq!(side_m, 1000.0);
+    assert!(made["class_share"]["water"].as_f64().is_some_and(|share| share > 0.001));
+    assert!(home.path().join("scene/truth/dtm.tif").is_file());
+}

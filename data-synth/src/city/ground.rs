@@ -31,8 +31,8 @@ pub(crate) struct Zone {
     pub(crate) centre: [f64; 2],
     /// Half size along the zone's own axes, metres.
     pub(crate) half: [f64; 2],
-    /// Angle from the u axis of the city to the zone's own first axis, radians.
-    pub(crate) turn_rad: f64,
+    /// Sine and cosine of the angle from the u axis of the city to the zone's own first axis.
+    pub(crate) turn: [f64; 2],
     /// Shape of the outline.
     pub(crate) outline: Outline,
     /// Class of the ground.
@@ -45,7 +45,7 @@ pub(crate) struct Zone {
 
 impl Zone {
     fn local(&self, uv: [f64; 2]) -> [f64; 2] {
-        let (sin, cos) = self.turn_rad.sin_cos();
+        let [sin, cos] = self.turn;
         let (du, dv) = (uv[0] - self.centre[0], uv[1] - self.centre[1]);
         [du * cos + dv * sin, dv * cos - du * sin]
     }
@@ -80,6 +80,17 @@ pub(crate) struct Pond {
     pub(crate) zone: Zone,
     /// Altitude of the water, metres of the scene's frame.
     pub(crate) level_m: f64,
+}
+
+impl Pond {
+    /// True if a place in city coordinates is certainly farther than `distance_m` from the shore; cheap.
+    fn is_farther_than(&self, uv: [f64; 2], distance_m: f64) -> bool {
+        /// More than the largest factor by which a shore wavers.
+        const WAVER: f64 = 1.23;
+        let [l, w] = self.zone.half;
+        let least_m = WAVER * l.max(w) * (1.0 + distance_m / l.min(w));
+        (0..2).any(|k| (uv[k] - self.zone.centre[k]).abs() > least_m)
+    }
 }
 
 /// The cover of the ground: zones, and the sea or snow over one half.
@@ -117,7 +128,7 @@ impl GroundCover {
             between: Zone {
                 centre: [0.0; 2],
                 half: [1.0; 2],
-                turn_rad: 0.0,
+                turn: [0.0, 1.0],
                 outline: Outline::Rounded(0.0),
                 class: Class::Road,
                 material: Material::Asphalt(grey(0.10)),
@@ -222,7 +233,11 @@ impl Landform<'_> {
         let mut height_m = self.relief.height_m(x, y) - KERB_M * smoothstep(-0.2, 0.6, from_block);
         for pond in self.ponds {
             // Level for 2 m beyond the shore, so that no cell under the water is tilted; then a bank.
-            let bank = smoothstep(2.0, 8.0, pond.zone.distance_m(uv));
+            let bank = if pond.is_farther_than(uv, 8.0) {
+                1.0
+            } else {
+                smoothstep(2.0, 8.0, pond.zone.distance_m(uv))
+            };
             height_m = pond.level_m + (height_m - pond.level_m) * bank;
         }
         if let Some(coast) = &self.coast {

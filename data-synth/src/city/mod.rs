@@ -7,6 +7,7 @@ mod homes;
 mod palette;
 mod planner;
 mod streets;
+mod town;
 mod trees;
 mod works;
 
@@ -27,6 +28,7 @@ use planner::{Planner, Plot};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use streets::{Bend, Block, Street, StreetPlan};
+use town::Town;
 
 /// Width of the pavement between kerb and building line, metres.
 const PAVEMENT_M: f64 = 2.4;
@@ -42,6 +44,8 @@ pub(crate) struct CityPlan {
     pub(crate) half_extent_m: f64,
     /// Longest side of a block, metres.
     pub(crate) longest_block_m: f64,
+    /// True for the make-up of a whole town: centre, suburbs, works, a hill and a large park.
+    pub(crate) town: bool,
     /// Cover of one half of the city, if any.
     pub(crate) cover: Option<Cover>,
 }
@@ -74,16 +78,25 @@ impl City {
     /// Plans a city from a seed.
     pub(crate) fn new(seed: u64, plan: CityPlan) -> Self {
         let bend = Bend::new(seed);
-        let relief = Relief::new(seed);
+        let town = plan.town.then(|| Town::new(seed));
+        let relief = match &town {
+            Some(town) => Relief::new(seed).with(town.hill),
+            None => Relief::new(seed),
+        };
+        let park = (town.as_ref()).map(|town| bend.uv_from_xy(town.park[0], town.park[1]));
         // A turned square must still reach into the corners of the terrain.
-        let streets = StreetPlan::new(seed, 1.5 * plan.half_extent_m, plan.longest_block_m);
+        let streets = StreetPlan::new(seed, 1.5 * plan.half_extent_m, plan.longest_block_m, park);
         let mut planner = Planner::new(seed, bend, relief);
         let kept = near_blocks(&bend, &streets.blocks, plan.half_extent_m);
         for street in &streets.streets {
             lay_street(&mut planner, street);
         }
         let pavements: Vec<Zone> = kept.iter().map(|block| lay_pavement(&mut planner, block)).collect();
-        for (block, purpose) in kept.iter().zip(purposes(seed, kept.len())) {
+        let purposes = match town {
+            Some(mut town) => kept.iter().map(|block| town.purpose(&bend, block)).collect(),
+            None => purposes(seed, kept.len()),
+        };
+        for (block, purpose) in kept.iter().zip(purposes) {
             fill(&mut planner, block, purpose);
         }
         for block in &kept {
@@ -232,10 +245,10 @@ fn lay_street(planner: &mut Planner, street: &Street) {
     planner.zones.push(Zone {
         centre: street.centre,
         half: [street.half_length, street.half_width],
-        turn_rad: if street.along_u {
-            0.0
+        turn: if street.along_u {
+            [0.0, 1.0]
         } else {
-            std::f64::consts::FRAC_PI_2
+            std::f64::consts::FRAC_PI_2.sin_cos().into()
         },
         outline: Outline::Rounded(0.0),
         class: Class::Road,
@@ -249,7 +262,7 @@ fn lay_pavement(planner: &mut Planner, block: &Block) -> Zone {
     let kerb = Zone {
         centre: block.centre(),
         half: block.half(),
-        turn_rad: 0.0,
+        turn: [0.0, 1.0],
         outline: Outline::Rounded(3.0),
         class: Class::Ground,
         material: Material::Concrete(crate::materials::grey(0.40)),

@@ -141,7 +141,7 @@ impl Planner {
         self.zones.push(Zone {
             centre: plot.uv(at[0], at[1]),
             half,
-            turn_rad: plot.turn_rad(),
+            turn: plot.turn_rad().sin_cos().into(),
             outline: Outline::Rounded(0.0),
             class,
             material,
@@ -237,7 +237,7 @@ impl Planner {
         let zone = Zone {
             centre: plot.uv(at[0], at[1]),
             half,
-            turn_rad: plot.turn_rad(),
+            turn: plot.turn_rad().sin_cos().into(),
             outline: Outline::Blob,
             class: Class::Water,
             material: Material::Water,

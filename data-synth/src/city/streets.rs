@@ -4,10 +4,14 @@ use crate::noise::stream;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
+/// Longest side of a large park, metres.
+const PARK_M: f64 = 260.0;
+
 /// City coordinates in metres: (u, v) is (east, north) turned by an angle and gently bent.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bend {
-    angle_rad: f64,
+    /// Sine and cosine of the turn.
+    turn: [f64; 2],
     amplitude_m: [f64; 2],
     wave_number: [f64; 2],
     phase: [f64; 2],
@@ -19,7 +23,7 @@ impl Bend {
         let mut random = stream(seed, 0xBE);
         let mut draw = |low: f64, high: f64| random.random_range(low..high);
         Self {
-            angle_rad: draw(-0.6, 0.6),
+            turn: draw(-0.6, 0.6).sin_cos().into(),
             amplitude_m: [draw(1.0, 3.0), draw(1.0, 3.0)],
             wave_number: [draw(0.02, 0.034), draw(0.02, 0.034)],
             phase: [draw(0.0, 6.2), draw(0.0, 6.2)],
@@ -28,7 +32,7 @@ impl Bend {
 
     /// City coordinates of a place (metres east and north of the site's centre).
     pub(crate) fn uv_from_xy(&self, x: f64, y: f64) -> [f64; 2] {
-        let (sin, cos) = self.angle_rad.sin_cos();
+        let [sin, cos] = self.turn;
         let (u, v) = (x * cos + y * sin, y * cos - x * sin);
         [u + self.shift(0, v), v + self.shift(1, u)]
     }
@@ -39,7 +43,7 @@ impl Bend {
         for _ in 0..30 {
             (p, q) = (u - self.shift(0, q), v - self.shift(1, p));
         }
-        let (sin, cos) = self.angle_rad.sin_cos();
+        let [sin, cos] = self.turn;
         [p * cos - q * sin, p * sin + q * cos]
     }
 
@@ -73,6 +77,11 @@ impl Block {
         [0, 1].map(|k| 0.5 * (self.low[k] + self.high[k]))
     }
 
+    /// True if a place (u, v) lies in the block.
+    pub(crate) fn contains(&self, uv: [f64; 2]) -> bool {
+        (0..2).all(|k| (self.low[k]..self.high[k]).contains(&uv[k]))
+    }
+
     /// Half size along u and v.
     pub(crate) fn half(&self) -> [f64; 2] {
         [0, 1].map(|k| 0.5 * (self.high[k] - self.low[k]))
@@ -103,21 +112,23 @@ pub(crate) struct StreetPlan {
 
 impl StreetPlan {
     /// Cuts a square of `half_extent_m` on either side of the origin until no block is longer than `longest_m`, metres.
-    pub(crate) fn new(seed: u64, half_extent_m: f64, longest_m: f64) -> Self {
+    /// The block at `park` (u, v) may be longer, up to [`PARK_M`].
+    pub(crate) fn new(seed: u64, half_extent_m: f64, longest_m: f64, park: Option<[f64; 2]>) -> Self {
         let mut random = stream(seed, 0x57);
         let mut plan = Self::default();
         let whole = Block {
             low: [-half_extent_m; 2],
             high: [half_extent_m; 2],
         };
-        plan.cut(whole, &mut random, longest_m);
+        plan.cut(whole, &mut random, longest_m, park);
         plan
     }
 
-    fn cut(&mut self, block: Block, random: &mut Pcg64Mcg, longest_m: f64) {
+    fn cut(&mut self, block: Block, random: &mut Pcg64Mcg, longest_m: f64, park: Option<[f64; 2]>) {
         let size = block.half().map(|h| 2.0 * h);
         let axis = usize::from(size[1] * 1.25 > size[0]);
-        if size[0] <= longest_m && size[1] <= 0.8 * longest_m {
+        let is_park = park.is_some_and(|uv| block.contains(uv)) && size[0].max(size[1]) <= PARK_M;
+        if is_park || size[0] <= longest_m && size[1] <= 0.8 * longest_m {
             self.blocks.push(block);
             return;
         }
@@ -139,8 +150,8 @@ impl StreetPlan {
             half_length: 0.5 * size[1 - axis],
             half_width: 0.5 * width_m,
         });
-        self.cut(before, random, longest_m);
-        self.cut(after, random, longest_m);
+        self.cut(before, random, longest_m, park);
+        self.cut(after, random, longest_m, park);
     }
 }
 
@@ -161,7 +172,7 @@ mod tests {
 
     #[test]
     fn blocks_and_streets_fill_the_plane_without_overlap() {
-        let plan = StreetPlan::new(8, 200.0, 60.0);
+        let plan = StreetPlan::new(8, 200.0, 60.0, None);
         let area = |half: [f64; 2]| 4.0 * half[0] * half[1];
         let blocks: f64 = plan.blocks.iter().map(|b| area(b.half())).sum();
         let streets: f64 = plan.streets.iter().map(|s| area([s.half_length, s.half_width])).sum();

@@ -10,6 +10,8 @@ use crate::vegetation::TreeKind;
 const BAY_M: f64 = 2.6;
 /// Distance from one row of bays to the next but one, metres.
 const ROW_PITCH_M: f64 = 16.0;
+/// Parks of at least this half length have a lake instead of a pond, metres.
+const LARGE_PARK_M: f64 = 50.0;
 
 /// A hall on one half of the plot, a car park on the other.
 pub(crate) fn commerce(planner: &mut Planner, plot: &Plot) {
@@ -162,7 +164,13 @@ pub(crate) fn park(planner: &mut Planner, plot: &Plot) {
     let path_b = planner.range(-0.15, 0.15) * width;
     planner.cover(plot, [0.0, path_b], [length, 1.3], Class::Ground, gravel);
     planner.cover(plot, [side * 0.1 * length, 0.0], [1.3, width], Class::Ground, gravel);
-    let pond = [(0.30 * length).min(9.0), (0.34 * width).min(7.0)];
+    // A park that is longer than a block of houses has a lake.
+    let most_m = if length > LARGE_PARK_M {
+        [48.0, 30.0]
+    } else {
+        [9.0, 7.0]
+    };
+    let pond = [(0.30 * length).min(most_m[0]), (0.34 * width).min(most_m[1])];
     planner.pond(plot, [side * 0.55 * length, path_b + 0.48 * (width - path_b)], pond);
     if planner.chance(0.7) {
         field(planner, plot, [-side * 0.52 * length, path_b - 0.5 * (width + path_b)]);

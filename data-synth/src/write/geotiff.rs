@@ -1,13 +1,14 @@
 //! GeoTIFF, written tag by tag: rational cameras, georeferencing, GDAL's metadata.
 
 use super::failed;
+use crate::crop::Canvas;
 use crate::error::SynthError;
 use crate::truth_grid::TruthGrid;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 use tiff::TiffResult;
-use tiff::encoder::{DirectoryEncoder, TiffEncoder, TiffKindStandard, TiffValue};
+use tiff::encoder::{DirectoryEncoder, TiffEncoder, TiffKind, TiffValue};
 use tiff::tags::Tag;
 
 /// RPCCoefficientTag.
@@ -19,6 +20,8 @@ const GDAL_METADATA: u16 = 42_112;
 const GDAL_NODATA: u16 = 42_113;
 /// Approximate size of a strip, bytes.
 const STRIP_BYTES: usize = 1 << 16;
+/// Side of the tiles of a canvas, pixels.
+const TILE: usize = 256;
 
 /// Samples, bands interleaved by pixel.
 #[derive(Clone, Copy)]
@@ -48,6 +51,15 @@ pub(crate) struct Raster<'a> {
     pub(crate) grid: Option<&'a TruthGrid>,
     /// Value of missing samples, if any.
     pub(crate) nodata: Option<f32>,
+    /// The larger file that the raster lies in, if any; samples outside of the raster are 0.
+    pub(crate) canvas: Option<Canvas>,
+}
+
+impl Raster<'_> {
+    /// Columns and rows of the file.
+    fn file_size(&self) -> [usize; 2] {
+        self.canvas.map_or([self.width, self.height], |canvas| [canvas.size; 2])
+    }
 }
 
 impl<'a> Samples<'a> {
@@ -79,7 +91,8 @@ impl<'a> Samples<'a> {
     }
 }
 
-/// Writes a raster as an uncompressed TIFF in strips.
+/// Writes a raster as an uncompressed TIFF: in strips, or on a canvas as a BigTIFF of tiles in which tiles outside of
+/// the raster are not stored.
 ///
 /// # Errors
 /// `SynthError::Failed` when it cannot be written.
@@ -93,16 +106,20 @@ pub(crate) fn write(path: &Path, raster: &Raster) -> Result<(), SynthError> {
     file.sync_all().map_err(failed(path))
 }
 
-type Directory<'a, W> = DirectoryEncoder<'a, W, TiffKindStandard>;
+fn encode<W: Write + Seek>(writer: W, raster: &Raster) -> TiffResult<()> {
+    match raster.canvas {
+        None => put(TiffEncoder::new(writer)?, raster),
+        Some(_) => put(TiffEncoder::new_big(writer)?, raster),
+    }
+}
 
-fn encode<W: std::io::Write + std::io::Seek>(writer: W, raster: &Raster) -> TiffResult<()> {
-    let mut encoder = TiffEncoder::new(writer)?;
+fn put<W: Write + Seek, K: TiffKind>(mut encoder: TiffEncoder<W, K>, raster: &Raster) -> TiffResult<()> {
     let mut directory = encoder.image_directory()?;
     match raster.samples {
-        Samples::U8(samples) => strips(&mut directory, raster, samples)?,
-        Samples::U16(samples) => strips(&mut directory, raster, samples)?,
-        Samples::F32(samples) => strips(&mut directory, raster, samples)?,
-        Samples::F64(samples) => strips(&mut directory, raster, samples)?,
+        Samples::U8(samples) => blocks(&mut directory, raster, samples)?,
+        Samples::U16(samples) => blocks(&mut directory, raster, samples)?,
+        Samples::F32(samples) => blocks(&mut directory, raster, samples)?,
+        Samples::F64(samples) => blocks(&mut directory, raster, samples)?,
     }
     baseline_tags(&mut directory, raster)?;
     if let Some(rpc) = &raster.rpc {
@@ -118,8 +135,22 @@ fn encode<W: std::io::Write + std::io::Seek>(writer: W, raster: &Raster) -> Tiff
     directory.finish()
 }
 
-fn strips<W: std::io::Write + std::io::Seek, T>(
-    directory: &mut Directory<W>,
+fn blocks<W: Write + Seek, K: TiffKind, T: Copy + Default>(
+    directory: &mut DirectoryEncoder<W, K>,
+    raster: &Raster,
+    samples: &[T],
+) -> TiffResult<()>
+where
+    [T]: TiffValue,
+{
+    match &raster.canvas {
+        None => strips(directory, raster, samples),
+        Some(canvas) => tiles(directory, raster, samples, canvas),
+    }
+}
+
+fn strips<W: Write + Seek, K: TiffKind, T>(
+    directory: &mut DirectoryEncoder<W, K>,
     raster: &Raster,
     samples: &[T],
 ) -> TiffResult<()>
@@ -139,13 +170,56 @@ where
     directory.write_tag(Tag::StripByteCounts, &lengths[..])
 }
 
-fn baseline_tags<W: std::io::Write + std::io::Seek>(directory: &mut Directory<W>, raster: &Raster) -> TiffResult<()> {
+/// Writes the tiles that hold a part of the raster. The offset and the length of all others are 0, by which GDAL knows
+/// tiles that are missing.
+fn tiles<W: Write + Seek, K: TiffKind, T: Copy + Default>(
+    directory: &mut DirectoryEncoder<W, K>,
+    raster: &Raster,
+    samples: &[T],
+    canvas: &Canvas,
+) -> TiffResult<()>
+where
+    [T]: TiffValue,
+{
+    let (bands, across) = (raster.bands.len(), canvas.size.div_ceil(TILE));
+    let (mut offsets, mut lengths) = (vec![0u64; across * across], vec![0u64; across * across]);
+    // Columns or rows of the canvas that a tile shares with the raster.
+    let shared =
+        |tile: usize, first: usize, length: usize| first.max(tile * TILE)..(first + length).min((tile + 1) * TILE);
+    for index in 0..across * across {
+        let (left, top) = (index % across, index / across);
+        let cols = shared(left, canvas.col, raster.width);
+        let rows = shared(top, canvas.row, raster.height);
+        if cols.is_empty() || rows.is_empty() {
+            continue;
+        }
+        let mut tile = vec![T::default(); TILE * TILE * bands];
+        for row in rows {
+            let from = ((row - canvas.row) * raster.width + cols.start - canvas.col) * bands;
+            let to = ((row - top * TILE) * TILE + cols.start - left * TILE) * bands;
+            let length = cols.len() * bands;
+            tile[to..to + length].copy_from_slice(&samples[from..from + length]);
+        }
+        offsets[index] = directory.write_data(&tile[..])?;
+        lengths[index] = u64::try_from(size_of_val(&tile[..]))?;
+    }
+    directory.write_tag(Tag::TileWidth, u32::try_from(TILE)?)?;
+    directory.write_tag(Tag::TileLength, u32::try_from(TILE)?)?;
+    directory.write_tag(Tag::TileOffsets, &offsets[..])?;
+    directory.write_tag(Tag::TileByteCounts, &lengths[..])
+}
+
+fn baseline_tags<W: Write + Seek, K: TiffKind>(
+    directory: &mut DirectoryEncoder<W, K>,
+    raster: &Raster,
+) -> TiffResult<()> {
     const BLACK_IS_ZERO: u16 = 1;
     const RGB: u16 = 2;
     let bands = raster.bands.len();
     let colour = raster.bands.first() == Some(&"Red") && bands >= 3;
-    directory.write_tag(Tag::ImageWidth, u32::try_from(raster.width)?)?;
-    directory.write_tag(Tag::ImageLength, u32::try_from(raster.height)?)?;
+    let [width, height] = raster.file_size();
+    directory.write_tag(Tag::ImageWidth, u32::try_from(width)?)?;
+    directory.write_tag(Tag::ImageLength, u32::try_from(height)?)?;
     directory.write_tag(Tag::BitsPerSample, &vec![raster.samples.bits(); bands][..])?;
     directory.write_tag(Tag::Compression, 1u16)?;
     directory.write_tag(Tag::PhotometricInterpretation, if colour { RGB } else { BLACK_IS_ZERO })?;
@@ -160,7 +234,7 @@ fn baseline_tags<W: std::io::Write + std::io::Seek>(directory: &mut Directory<W>
     Ok(())
 }
 
-fn grid_tags<W: std::io::Write + std::io::Seek>(directory: &mut Directory<W>, grid: &TruthGrid) -> TiffResult<()> {
+fn grid_tags<W: Write + Seek, K: TiffKind>(directory: &mut DirectoryEncoder<W, K>, grid: &TruthGrid) -> TiffResult<()> {
     let scale = [grid.cell_m, grid.cell_m, 0.0];
     let tiepoint = [0.0, 0.0, 0.0, grid.west_m, grid.north_m, 0.0];
     // Version 1.1.0 and three keys: a projected model, pixels that are areas, the zone's EPSG code.
@@ -213,6 +287,7 @@ mod tests {
             rpc: Some(rpc),
             grid: None,
             nodata: None,
+            canvas: None,
         };
         let mut bytes = Cursor::new(Vec::new());
         encode(&mut bytes, &raster).expect("encoded");
@@ -227,6 +302,53 @@ mod tests {
             // The decoder leaves out samples that are neither colour nor transparency.
             DecodingResult::U16(samples) => assert!(samples.iter().eq(counts.iter().filter(|&&count| count % 4 != 3))),
             _ => panic!("not 16-bit samples"),
+        }
+    }
+
+    #[test]
+    fn a_canvas_holds_the_samples_at_their_offset_and_stores_no_other_tile() {
+        let counts: Vec<u16> = (1..=3 * 300 * 20).map(|k| (k % 65_000) as u16).collect();
+        let canvas = Canvas {
+            size: 1500,
+            col: 448,
+            row: 1024 - 7,
+        };
+        let raster = Raster {
+            width: 300,
+            height: 20,
+            samples: Samples::U16(&counts),
+            bands: &["Red", "Green", "Blue"],
+            items: &[],
+            rpc: None,
+            grid: None,
+            nodata: Some(0.0),
+            canvas: Some(canvas),
+        };
+        let mut bytes = Cursor::new(Vec::new());
+        encode(&mut bytes, &raster).expect("encoded");
+        bytes.set_position(0);
+        let mut decoder = Decoder::new(bytes).expect("a BigTIFF");
+        assert_eq!(decoder.dimensions().expect("size"), (1500, 1500));
+        let lengths = decoder.get_tag_u64_vec(Tag::TileByteCounts).expect("tag");
+        let stored = |index: &usize| lengths[*index] > 0;
+        // Columns 448 to 747 and rows 1017 to 1036: tiles 1 and 2 of the rows 3 and 4 of 6.
+        assert_eq!((0..36).filter(stored).collect::<Vec<_>>(), [19, 20, 25, 26]);
+        for index in [19u32, 20, 25, 26] {
+            let DecodingResult::U16(tile) = decoder.read_chunk(index).expect("a tile") else {
+                panic!("not 16-bit samples");
+            };
+            for (place, sample) in tile.iter().enumerate() {
+                let (pixel, band) = (place / 3, place % 3);
+                let col = (index as usize % 6 * TILE + pixel % TILE).wrapping_sub(canvas.col);
+                let row = (index as usize / 6 * TILE + pixel / TILE).wrapping_sub(canvas.row);
+                let inside = col < 300 && row < 20;
+                let expected = if inside {
+                    counts[(row * 300 + col) * 3 + band]
+                } else {
+                    0
+                };
+                assert_eq!(*sample, expected, "tile {index}, pixel {pixel}");
+            }
         }
     }
 }

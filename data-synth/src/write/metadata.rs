@@ -1,6 +1,6 @@
 //! Metadata of an image as vendors deliver it: acquisition time, sun, footprint, camera.
 
-use crate::crop::Crop;
+use crate::crop::{Canvas, Crop};
 use crate::plan::ViewPlan;
 use crate::request::{Fault, SatelliteRequest};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
@@ -47,38 +47,40 @@ pub(crate) fn loose_altitudes_m([low_m, high_m]: [f64; 2], seed: u64) -> [f64; 2
 }
 
 /// JSON metadata of an image as in Sat-NeRF's data sets. `altitudes_m` are the lowest and the highest altitude, metres.
+/// The size is that of the file; the outline is that of the image, on a canvas too.
 ///
 /// # Errors
 /// When the RPC cannot be localised at a corner or the centre of the image.
-pub(crate) fn satnerf_json(view: &ViewPlan, crop: &Crop, rpc: &Rpc, altitudes_m: [f64; 2]) -> Result<Value, RpcError> {
+pub(crate) fn satnerf_json(
+    view: &ViewPlan,
+    (crop, canvas): (&Crop, Option<Canvas>),
+    rpc: &Rpc,
+    altitudes_m: [f64; 2],
+) -> Result<Value, RpcError> {
     let middle_m = 0.5 * (altitudes_m[0] + altitudes_m[1]);
     let place = |col: f64, row: f64| {
         rpc.localise(ImagePoint { col, row }, middle_m)
             .map(|GeoPoint { lon_deg, lat_deg, .. }| json!([lon_deg, lat_deg]))
     };
     // Edges of the image lie half a pixel outside the centres of its outermost pixels.
-    let (right, bottom) = (crop.width as f64 - 0.5, crop.height as f64 - 0.5);
-    let ring = [
-        (-0.5, -0.5),
-        (-0.5, bottom),
-        (right, bottom),
-        (right, -0.5),
-        (-0.5, -0.5),
-    ]
-    .map(|(col, row)| place(col, row))
-    .into_iter()
-    .collect::<Result<Vec<_>, _>>()?;
+    let [col, row] = canvas.map_or([0, 0], |canvas| [canvas.col, canvas.row]);
+    let (left, top) = (col as f64 - 0.5, row as f64 - 0.5);
+    let (right, bottom) = (left + crop.width as f64, top + crop.height as f64);
+    let ring = [(left, top), (left, bottom), (right, bottom), (right, top), (left, top)]
+        .map(|(col, row)| place(col, row))
+        .into_iter()
+        .collect::<Result<Vec<_>, _>>()?;
     Ok(json!({
         "img": format!("{}.tif", view.name),
-        "height": crop.height,
-        "width": crop.width,
+        "height": canvas.map_or(crop.height, |canvas| canvas.size),
+        "width": canvas.map_or(crop.width, |canvas| canvas.size),
         "sun_elevation": format!("{:+.1}", view.sun.elevation_rad.to_degrees()),
         "sun_azimuth": format!("{:.1}", view.sun.azimuth_rad.to_degrees()),
         "acquisition_date": view.time.strftime("%Y%m%d%H%M%S").to_string(),
         "geojson": {
             "coordinates": [ring],
             "type": "Polygon",
-            "center": place(0.5 * (right - 0.5), 0.5 * (bottom - 0.5))?,
+            "center": place(0.5 * (left + right), 0.5 * (top + bottom))?,
         },
         "min_alt": altitudes_m[0],
         "max_alt": altitudes_m[1],

@@ -42,6 +42,9 @@ pub struct SynthArgs {
     /// Width and height of every image, pixels [default: enough for the site; 200 for objects]
     #[arg(long, value_name = "PX")]
     size: Option<usize>,
+    /// Put each satellite image at an offset into a sparse file this wide and high, pixels [default: no larger file]
+    #[arg(long, value_name = "PX")]
+    canvas: Option<usize>,
     /// Material of the object in the middle
     #[arg(long, value_enum, default_value = "matte")]
     look: Look,
@@ -103,6 +106,7 @@ impl SynthArgs {
             dates: self.dates,
             gsd_m: self.gsd,
             size_px: self.size,
+            canvas_px: self.canvas,
             bands: self.bands,
             bits: self.bits,
             pointing_bias_px: self.pointing_bias,
