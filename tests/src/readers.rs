@@ -11,7 +11,7 @@ use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat_batch::manifest::Manifest;
 use heliosplat_objects::model::ObjectFile;
 use heliosplat_objects::run::ObjectRun;
-use heliosplat_objects::transforms;
+use heliosplat_objects::{camera_table, colmap, points, transforms};
 use heliosplat_products::{model::ModelFile, ply};
 use heliosplat_rpc::read::{self, acquisition};
 use heliosplat_rpc::{ImagePoint, Rpc, write};
@@ -32,7 +32,7 @@ pub struct Reader {
 }
 
 /// All readers.
-pub const READERS: [Reader; 16] = [
+pub const READERS: [Reader; 19] = [
     Reader {
         name: "camera_text",
         read: camera_text,
@@ -77,6 +77,21 @@ pub const READERS: [Reader; 16] = [
         name: "transforms_json",
         read: transforms_json,
         corpus: captures::transforms,
+    },
+    Reader {
+        name: "colmap_model",
+        read: colmap_model,
+        corpus: captures::colmap,
+    },
+    Reader {
+        name: "camera_table",
+        read: camera_table,
+        corpus: captures::tables,
+    },
+    Reader {
+        name: "point_cloud",
+        read: point_cloud,
+        corpus: captures::clouds,
     },
     Reader {
         name: "object_json",
@@ -199,8 +214,8 @@ pub fn model_json(bytes: &[u8]) -> bool {
 /// Reads the `transforms.json` of a capture in a folder with `r_0.png` to `r_2.png`, and makes its cameras.
 pub fn transforms_json(bytes: &[u8]) -> bool {
     match transforms::parse(&captures::folder().join("transforms.json"), bytes) {
-        Ok(frames) => {
-            for frame in &frames {
+        Ok(listed) => {
+            for frame in &listed.frames {
                 let _ = frame
                     .camera([64, 48])
                     .map(|camera| camera.projective(glam::DVec3::ZERO));
@@ -209,6 +224,32 @@ pub fn transforms_json(bytes: &[u8]) -> bool {
         }
         Err(_) => false,
     }
+}
+
+/// Reads a part of a COLMAP model, text or binary: its cameras, images or points.
+pub fn colmap_model(bytes: &[u8]) -> bool {
+    let text = std::str::from_utf8(bytes).unwrap_or_default();
+    let binary = [
+        colmap::cameras_binary(bytes).is_ok(),
+        colmap::images_binary(bytes).is_ok(),
+        colmap::points_binary(bytes).is_ok(),
+    ];
+    let text = [
+        colmap::cameras_text(text).is_ok(),
+        colmap::images_text(text).is_ok(),
+        colmap::points_text(text).is_ok(),
+    ];
+    binary.into_iter().chain(text).any(|read| read)
+}
+
+/// Reads a `cameras.csv` in a folder with `r_0.png` to `r_2.png`.
+pub fn camera_table(bytes: &[u8]) -> bool {
+    camera_table::parse(captures::folder(), &String::from_utf8_lossy(bytes)).is_ok()
+}
+
+/// Reads a point cloud in PLY.
+pub fn point_cloud(bytes: &[u8]) -> bool {
+    points::read_ply(bytes).is_ok()
 }
 
 /// Reads the `model.json` of an object, and makes the model from its options.

@@ -1,11 +1,15 @@
-//! A capture: images of an object from around it, with cameras and, where known, lights.
+//! A capture: images of an object from around it, with cameras and, where known, lights and points.
 
 use super::error::CaptureError;
+use super::frame_spec::{FrameSpec, PointLight};
 use super::pinhole::{Pinhole, common_centre};
 use super::pixels::{self, Encoding, Picture};
-use super::transforms::{self, FrameSpec, PointLight};
+use super::points::{self, Point};
+use super::transforms;
+use super::{camera_table, colmap};
 use glam::DVec3;
 use heliosplat_grid::statistics::upper_median;
+use heliosplat_raster::bounded;
 use heliosplat_scene::Split;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -22,6 +26,11 @@ const FILES: [(&str, Split); 4] = [
     ("transforms_val.json", Split::Test),
     ("transforms_valid.json", Split::Test),
 ];
+
+/// File of a capture that lists all images together.
+const SINGLE: &str = "transforms.json";
+/// Largest point cloud that is read, bytes.
+const CLOUD_MAX: u64 = 2 << 30;
 
 /// One image of a capture with its camera and light.
 #[derive(Debug, Clone)]
@@ -47,6 +56,8 @@ pub struct Capture {
     pub source: PathBuf,
     /// The images, in the order of their lists.
     pub frames: Vec<Frame>,
+    /// Points of the reconstruction, in the frame of the cameras; empty where the files have none.
+    pub points: Vec<Point>,
     /// Point nearest to the optical axes, in the frame of the cameras: the origin of the model's frame.
     pub centre: DVec3,
     /// Half side of the cube that the cameras see (median over the images), in the capture's units.
@@ -57,13 +68,15 @@ pub struct Capture {
     pub warnings: Vec<String>,
 }
 
-/// True if `path` is a capture: a `transforms` file, or a folder with one.
+/// True if `path` is a capture: a `transforms` file or a table of cameras, a folder with one, or one with a model of
+/// COLMAP.
 pub fn is_capture(path: &Path) -> bool {
     if path.is_file() {
         let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
-        return name.starts_with("transforms") && name.ends_with(".json");
+        return (name.starts_with("transforms") && name.ends_with(".json")) || name == camera_table::NAME;
     }
-    path.join("transforms.json").is_file() || FILES.iter().any(|(name, _)| path.join(name).is_file())
+    let files = FILES.iter().map(|(name, _)| *name).chain([SINGLE, camera_table::NAME]);
+    files.into_iter().any(|name| path.join(name).is_file()) || colmap::folder(path).is_some()
 }
 
 impl Capture {
@@ -79,14 +92,18 @@ impl Capture {
         Some((file("normal")?.to_rgb8(), file("part")?.to_luma8()))
     }
 
-    /// Opens the capture at `path`, a folder or one `transforms` file, and reads its images into at most `image_bytes`
+    /// Opens the capture at `path`, a folder or one list of cameras, and reads its images into at most `image_bytes`
     /// bytes.
     ///
     /// # Errors
     /// [`CaptureError`] with the file at fault, also where the images need more memory or no camera looks at a common
     /// point.
     pub fn open(path: &Path, image_bytes: u64) -> Result<Self, CaptureError> {
-        let specs = list(path)?;
+        let Listing {
+            specs,
+            points,
+            warnings,
+        } = list(path)?;
         let sizes = specs.par_iter().map(|(spec, _)| pixels::size_px(&spec.path));
         let sizes: Vec<[usize; 2]> = sizes.collect::<Result<_, _>>()?;
         let needed: u64 = sizes.iter().map(|[cols, rows]| 4 * 4 * (cols * rows) as u64).sum();
@@ -104,7 +121,10 @@ impl Capture {
             .zip(sizes)
             .map(|((spec, split), size_px)| frame(spec, split, size_px))
             .collect::<Result<_, _>>()?;
-        Self::of_frames(path, frames)
+        let mut capture = Self::of_frames(path, frames)?;
+        capture.points = points;
+        capture.warnings.extend(warnings);
+        Ok(capture)
     }
 
     fn of_frames(source: &Path, mut frames: Vec<Frame>) -> Result<Self, CaptureError> {
@@ -120,7 +140,7 @@ impl Capture {
             ));
         }
         if !frames.iter().any(|f| f.split == Split::Train) {
-            let remedy = "check that transform_matrix goes from camera to world, in OpenGL's axes";
+            let remedy = "check the direction and the axes of the poses (docs/guide/objects.md)";
             return Err(CaptureError::file(source, "no camera looks at a common point", remedy));
         }
         let encodings: Vec<Encoding> = frames.iter().map(|f| f.picture.encoding).collect();
@@ -143,6 +163,7 @@ impl Capture {
             source: source.to_owned(),
             half_size: median(&half),
             pixel_size: median(&pixel),
+            points: Vec::new(),
             centre,
             frames,
             warnings,
@@ -161,8 +182,7 @@ impl Capture {
 }
 
 fn frame(spec: FrameSpec, split: Split, size_px: [usize; 2]) -> Result<Frame, CaptureError> {
-    let remedy = "correct w and h in the transforms file, or remove them";
-    let camera = (spec.camera(size_px)).map_err(|what| CaptureError::file(&spec.path, what, remedy))?;
+    let camera = (spec.camera(size_px)).map_err(|(what, remedy)| CaptureError::file(&spec.path, what, remedy))?;
     Ok(Frame {
         picture: pixels::read(&spec.path)?,
         name: spec.name,
@@ -173,37 +193,87 @@ fn frame(spec: FrameSpec, split: Split, size_px: [usize; 2]) -> Result<Frame, Ca
     })
 }
 
-/// The images that a capture lists, and the use of each.
-fn list(path: &Path) -> Result<Vec<(FrameSpec, Split)>, CaptureError> {
-    if path.is_file() {
-        return Ok(held_out(transforms::read(path)?));
+/// The images that a capture lists with the use of each, and the points of its reconstruction.
+struct Listing {
+    specs: Vec<(FrameSpec, Split)>,
+    points: Vec<Point>,
+    warnings: Vec<String>,
+}
+
+/// Lists the capture at `path`.
+fn list(path: &Path) -> Result<Listing, CaptureError> {
+    let file = |name: &str| Some(path.join(name)).filter(|file| file.is_file());
+    if path.ends_with(camera_table::NAME) && path.is_file() {
+        return table(path);
     }
-    let mut all: Vec<(FrameSpec, Split)> = Vec::new();
+    if path.is_file() {
+        return Ok(together(transforms::read(path)?));
+    }
+    let (mut specs, mut cloud): (Vec<(FrameSpec, Split)>, _) = (Vec::new(), None);
+    let tested = |specs: &[(FrameSpec, Split)]| specs.iter().any(|(_, split)| *split == Split::Test);
     for (name, split) in FILES {
-        let file = path.join(name);
-        let tested = all.iter().any(|(_, split)| *split == Split::Test);
-        if file.is_file() && !(tested && split == Split::Test) {
-            all.extend(transforms::read(&file)?.into_iter().map(|spec| (spec, split)));
+        let Some(file) = file(name) else { continue };
+        if !(tested(&specs) && split == Split::Test) {
+            let listed = transforms::read(&file)?;
+            specs.extend(listed.frames.into_iter().map(|spec| (spec, split)));
+            cloud = cloud.or(listed.points);
         }
     }
-    if all.iter().any(|(_, split)| *split == Split::Train) {
-        let tested = all.iter().any(|(_, split)| *split == Split::Test);
-        return Ok(if tested {
-            all
-        } else {
-            held_out(all.into_iter().map(|(spec, _)| spec).collect())
+    if specs.iter().any(|(_, split)| *split == Split::Train) {
+        if !tested(&specs) {
+            specs = held_out(specs.into_iter().map(|(spec, _)| spec).collect());
+        }
+        return Ok(with_cloud(specs, cloud));
+    }
+    if let Some(single) = file(SINGLE) {
+        return Ok(together(transforms::read(&single)?));
+    }
+    if let Some(folder) = colmap::folder(path) {
+        let (frames, points) = colmap::read(path, &folder)?;
+        let next = folder.with_file_name("1");
+        let several = folder.ends_with("0") && next.is_dir();
+        return Ok(Listing {
+            specs: held_out(frames),
+            points,
+            warnings: several
+                .then(|| format!("COLMAP found several models; {} is used alone", folder.display()))
+                .into_iter()
+                .collect(),
         });
     }
-    let single = path.join("transforms.json");
-    if single.is_file() {
-        return Ok(held_out(transforms::read(&single)?));
+    if let Some(cameras) = file(camera_table::NAME) {
+        return table(&cameras);
     }
     let remedy = "give a folder that holds one";
-    Err(CaptureError::file(
-        path,
-        "no transforms_train.json or transforms.json here",
-        remedy,
-    ))
+    let what = "no transforms_train.json, transforms.json, COLMAP model or cameras.csv here";
+    Err(CaptureError::file(path, what, remedy))
+}
+
+fn table(path: &Path) -> Result<Listing, CaptureError> {
+    Ok(with_cloud(held_out(camera_table::read(path)?), None))
+}
+
+fn together(listed: transforms::Listed) -> Listing {
+    with_cloud(held_out(listed.frames), listed.points)
+}
+
+/// A listing with the points of the file `cloud`, which is not needed: its faults are warnings.
+fn with_cloud(specs: Vec<(FrameSpec, Split)>, cloud: Option<PathBuf>) -> Listing {
+    let read = |path: &PathBuf| {
+        let bytes = bounded::read_bytes(path, CLOUD_MAX).map_err(|error| error.to_string());
+        let points = bytes.and_then(|bytes| points::read_ply(&bytes));
+        points.map_err(|what| format!("{}: {what}; training starts without these points", path.display()))
+    };
+    let (points, warnings) = match cloud.as_ref().map(read) {
+        None => (Vec::new(), Vec::new()),
+        Some(Ok(points)) => (points, Vec::new()),
+        Some(Err(warning)) => (Vec::new(), vec![warning]),
+    };
+    Listing {
+        specs,
+        points,
+        warnings,
+    }
 }
 
 /// Every eighth image is held out, the first one first; none of fewer than eight.

@@ -75,6 +75,7 @@ pub fn fit(
         kind,
         preparation,
         parameters,
+        bounds,
         how,
     } = prepare::input(capture, plan.kind, &planned, &frames);
     tracing::info!("start: {} Gaussians {how}", grouped(parameters.gaussians.count));
@@ -92,14 +93,7 @@ pub fn fit(
     drop(part);
     let part = stage("train");
     let prepared = begun.elapsed();
-    let mut trainer = Trainer::new(
-        &*scene_model,
-        views,
-        parameters,
-        options,
-        prepare::bounds(capture),
-        None,
-    )?;
+    let mut trainer = Trainer::new(&*scene_model, views, parameters, options, bounds, None)?;
     if let Some(checkpoint) = checkpoint {
         tracing::info!(
             "Training continues after step {} of {steps}",

@@ -1,10 +1,10 @@
 //! A model of an object, and its files: `model.ply`, `model.json`.
 
 use super::capture::{Capture, Frame};
+use super::frame_spec::PointLight;
 use super::pinhole::Pinhole;
 use super::pixels::Encoding;
 use super::surroundings::Lamp;
-use super::transforms::PointLight;
 use super::views::Preparation;
 use glam::DVec3;
 use heliosplat::gaussians::Table;

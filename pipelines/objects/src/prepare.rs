@@ -16,7 +16,7 @@ use heliosplat_grid::statistics::upper_median;
 use heliosplat_scene::Split;
 use std::f32::consts::PI;
 
-/// Side of the cube outside which Gaussians are pruned, relative to the cube that the cameras see.
+/// Side of the box outside which Gaussians are pruned, relative to the cube that the cameras see or to the hull's box.
 const SLACK: f32 = 1.1;
 /// Initial opacity of the Gaussians: half, because the hull is only near the surface.
 const OPACITY: f32 = 0.5;
@@ -155,6 +155,8 @@ pub(super) struct FitInput {
     pub(super) preparation: Preparation,
     /// Initial parameters.
     pub(super) parameters: Parameters,
+    /// Opposite corners of the box outside which Gaussians are pruned, in the frame of the model.
+    pub(super) bounds: (Vec3, Vec3),
     /// Place of the initial Gaussians, in words.
     pub(super) how: &'static str,
 }
@@ -163,18 +165,33 @@ pub(super) struct FitInput {
 pub(super) fn input(capture: &Capture, kind: ModelKind, config: &ObjectConfig, frames: &[&Frame]) -> FitInput {
     let preparation = preparation(capture, kind, config);
     let (centre, half_size) = (capture.centre, capture.half_size);
-    let start = start::start(frames, centre, half_size, &config.start, config.train.seed);
+    let start = start::start(
+        frames,
+        &capture.points,
+        centre,
+        half_size,
+        &config.start,
+        config.train.seed,
+    );
     let (kind, parameters) = begin(capture, kind, config, &preparation, &start);
     FitInput {
         kind,
         preparation,
         parameters,
+        bounds: bounds(capture, &start),
         how: start.how,
     }
 }
 
-/// Opposite corners of the cube outside which Gaussians are pruned, in the frame of the model.
-pub(super) fn bounds(capture: &Capture) -> (Vec3, Vec3) {
+/// The box outside which Gaussians are pruned: a little more than the cube that the cameras see, and for a start on the
+/// hull, which contains the object, a little more than its box.
+fn bounds(capture: &Capture, start: &Start) -> (Vec3, Vec3) {
     let reach = Vec3::splat(SLACK * capture.half_size as f32);
-    (-reach, reach)
+    if !start.on_hull {
+        return (-reach, reach);
+    }
+    let centres = || start.seeds.iter().map(|seed| seed.position);
+    let (low, high) = (centres().fold(reach, Vec3::min), centres().fold(-reach, Vec3::max));
+    let slack = (SLACK - 1.0) * (high - low);
+    (low - slack, high + slack)
 }

@@ -1,10 +1,12 @@
-//! Initial positions of Gaussians: on the visual hull where coverage is known, else anywhere in view.
+//! Initial positions of Gaussians: on the visual hull where coverage is known, else on the points of the
+//! reconstruction, else anywhere in view.
 //!
 //! The visual hull (Laurentini 1994) is the intersection of all silhouettes: cells of a grid covered in every image
 //! that shows them. Its outermost cells get a Gaussian each.
 
 use super::capture::Frame;
 use super::config::StartOptions;
+use super::points::Point;
 use glam::{DVec3, Vec3};
 use heliosplat::gaussians::{GroupSpec, LOG_SCALE, OPACITY, POSITION, ROTATION, Table, core_groups, logit};
 use heliosplat::{ProjectiveCamera, Raster};
@@ -16,13 +18,17 @@ use rayon::prelude::*;
 /// Coverage from which on a pixel shows the object.
 const COVERED: f32 = 0.3;
 /// Cells along a side of the grid that is tried first.
-const FIRST_GRID: usize = 64;
-/// Fewest and most cells along a side.
-const GRID: (usize, usize) = (16, 192);
+const FIRST_GRID: f64 = 128.0;
+/// Most cells of a grid.
+const MOST_CELLS: f64 = 8e6;
 /// Radius in cells over which the outward direction is estimated.
 const REACH: i64 = 2;
 /// Standard deviation of a Gaussian, cells.
 const SPREAD: f64 = 0.6;
+/// Fewest points of a reconstruction to start from.
+const LEAST_POINTS: usize = 100;
+/// Neighbours of a point that determine its Gaussian's standard deviation (Kerbl et al. 2023).
+const NEAREST: usize = 3;
 
 /// A seed of a Gaussian: its centre in the frame of the model, and the colour of the images there.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,6 +39,8 @@ pub struct Seed {
     pub colour: [f32; 3],
     /// Unit vector out of the hull; zero where there is none.
     pub normal: Vec3,
+    /// Standard deviation along all axes, in the capture's units.
+    pub spread: f32,
 }
 
 /// Initial Gaussians of a training.
@@ -40,8 +48,8 @@ pub struct Seed {
 pub struct Start {
     /// Centres, colours and normals of the Gaussians.
     pub seeds: Vec<Seed>,
-    /// Standard deviation of each Gaussian along all axes, in the capture's units.
-    pub spread: f32,
+    /// True if the Gaussians are on the visual hull.
+    pub on_hull: bool,
     /// Place of the Gaussians, in words.
     pub how: &'static str,
 }
@@ -66,8 +74,15 @@ impl Sight<'_> {
 }
 
 /// Places Gaussians in the cube of half side `half_size` around `centre`, in the capture's units: on the visual hull
-/// where all frames have coverage, else at random.
-pub fn start(frames: &[&Frame], centre: DVec3, half_size: f64, options: &StartOptions, seed: u64) -> Start {
+/// where all frames have coverage, else on `points`, else at random.
+pub fn start(
+    frames: &[&Frame],
+    points: &[Point],
+    centre: DVec3,
+    half_size: f64,
+    options: &StartOptions,
+    seed: u64,
+) -> Start {
     let sights: Vec<Sight> = frames
         .iter()
         .filter_map(|&frame| {
@@ -79,7 +94,7 @@ pub fn start(frames: &[&Frame], centre: DVec3, half_size: f64, options: &StartOp
         .collect();
     let known = frames.iter().all(|f| f.picture.coverage.is_some());
     let mut random = Pcg32::seed_from_u64(seed);
-    let mut seeds_at = |points: Vec<(DVec3, Vec3)>, jitter: f64| -> Vec<Seed> {
+    let mut seeds_at = |points: Vec<(DVec3, Vec3)>, jitter: f64, spread: f64| -> Vec<Seed> {
         let mut shaken: Vec<(Vec3, Vec3)> = Vec::with_capacity(points.len());
         for (point, normal) in points {
             let mut aside = || jitter * (random.random::<f64>() - 0.5);
@@ -89,6 +104,7 @@ pub fn start(frames: &[&Frame], centre: DVec3, half_size: f64, options: &StartOp
             position,
             colour: colour_at(&sights, position),
             normal,
+            spread: spread as f32,
         };
         shaken.par_iter().with_min_len(256).map(seed).collect()
     };
@@ -96,19 +112,74 @@ pub fn start(frames: &[&Frame], centre: DVec3, half_size: f64, options: &StartOp
         let hull = Hull::about(&sights, half_size, options.gaussians);
         if !hull.shell.is_empty() {
             return Start {
-                seeds: seeds_at(hull.shell, 0.5 * hull.cell),
-                spread: (SPREAD * hull.cell) as f32,
+                seeds: seeds_at(hull.shell, 0.5 * hull.cell, SPREAD * hull.cell),
+                on_hull: true,
                 how: "on the visual hull",
             };
         }
     }
+    let seeds = seeds_of(points, centre, half_size, options.gaussians);
+    if seeds.len() >= LEAST_POINTS {
+        return Start {
+            seeds,
+            on_hull: false,
+            how: "on the points of the reconstruction",
+        };
+    }
     let side = (options.gaussians.max(1) as f64).cbrt();
     let spots = vec![(DVec3::ZERO, Vec3::ZERO); options.gaussians.max(1)];
     Start {
-        seeds: seeds_at(spots, 2.0 * half_size),
-        spread: (half_size / side) as f32,
+        seeds: seeds_at(spots, 2.0 * half_size, half_size / side),
+        on_hull: false,
         how: "anywhere in sight",
     }
+}
+
+/// Seeds on the points inside the cube of half side `half_size` around `centre`, evenly thinned to `most`.
+fn seeds_of(points: &[Point], centre: DVec3, half_size: f64, most: usize) -> Vec<Seed> {
+    let inside = |point: &&Point| (point.position - centre).abs().max_element() < half_size;
+    let inside: Vec<&Point> = points.iter().filter(inside).collect();
+    let count = inside.len().min(most);
+    let mut seeds: Vec<Seed> = (0..count)
+        .map(|n| {
+            let point = inside[n * inside.len() / count];
+            Seed {
+                position: (point.position - centre).as_vec3(),
+                colour: point.colour,
+                normal: Vec3::ZERO,
+                spread: 0.0,
+            }
+        })
+        .collect();
+    seeds.sort_by(|a, b| a.position.x.total_cmp(&b.position.x));
+    let widest = (half_size / (count.max(1) as f64).cbrt()) as f32;
+    let spreads: Vec<f32> = (0..count)
+        .into_par_iter()
+        .with_min_len(256)
+        .map(|n| spread_at(&seeds, n).min(widest))
+        .collect();
+    seeds
+        .iter_mut()
+        .zip(spreads)
+        .for_each(|(seed, spread)| seed.spread = spread);
+    seeds
+}
+
+/// Root mean square distance of seed `n` to its [`NEAREST`] neighbours; the seeds are in the order of their x.
+fn spread_at(seeds: &[Seed], n: usize) -> f32 {
+    let here = seeds[n].position;
+    let mut nearest = [f32::INFINITY; NEAREST];
+    let mut visit = |seed: &Seed| {
+        let away = seed.position - here;
+        let squared = away.length_squared();
+        if squared < nearest[NEAREST - 1] {
+            nearest[NEAREST - 1] = squared;
+            nearest.sort_by(f32::total_cmp);
+        }
+        away.x * away.x < nearest[NEAREST - 1]
+    };
+    let _ = seeds[..n].iter().rev().all(&mut visit) | seeds[n + 1..].iter().all(&mut visit);
+    (nearest.iter().sum::<f32>() / NEAREST as f32).sqrt()
 }
 
 struct Hull {
@@ -117,29 +188,62 @@ struct Hull {
     shell: Vec<(DVec3, Vec3)>,
 }
 
-impl Hull {
-    /// A hull whose shell has about `wanted` cells.
-    fn about(sights: &[Sight], half_size: f64, wanted: usize) -> Self {
-        let first = Self::new(sights, half_size, FIRST_GRID);
-        if first.shell.is_empty() {
-            return first;
-        }
-        // A surface: cells grow with the square of the grid.
-        let scale = (wanted as f64 / first.shell.len() as f64).sqrt();
-        let side = ((FIRST_GRID as f64 * scale).round() as usize).clamp(GRID.0, GRID.1);
-        if side == FIRST_GRID {
-            first
-        } else {
-            Self::new(sights, half_size, side)
+/// A grid of cubic cells.
+#[derive(Clone, Copy)]
+struct Grid {
+    /// Lowest corner.
+    low: DVec3,
+    cell: f64,
+    size: [usize; 3],
+}
+
+impl Grid {
+    /// A grid of cells of about the side `cell`, at most [`MOST_CELLS`], over a box.
+    fn over(low: DVec3, high: DVec3, cell: f64) -> Self {
+        let extent = high - low;
+        let least = (extent.element_product() / MOST_CELLS).cbrt();
+        let cell = cell.max(least);
+        Self {
+            low,
+            cell,
+            size: extent.to_array().map(|side| ((side / cell).ceil() as usize).max(1)),
         }
     }
 
-    fn new(sights: &[Sight], half_size: f64, side: usize) -> Self {
-        let cell = 2.0 * half_size / side as f64;
-        let centre = |i: usize| (i as f64 + 0.5) * cell - half_size;
-        let place = |i: usize| DVec3::new(centre(i % side), centre(i / side % side), centre(i / side / side));
+    fn cells(&self) -> usize {
+        self.size.iter().product()
+    }
+
+    fn at(&self, i: usize) -> [usize; 3] {
+        let [x, y, _] = self.size;
+        [i % x, i / x % y, i / x / y]
+    }
+
+    fn centre(&self, i: usize) -> DVec3 {
+        self.low + (DVec3::from(self.at(i).map(|n| n as f64)) + 0.5) * self.cell
+    }
+}
+
+impl Hull {
+    /// A hull in the cube of half side `half_size` whose shell has about `wanted` cells.
+    fn about(sights: &[Sight], half_size: f64, wanted: usize) -> Self {
+        let cube = DVec3::splat(half_size);
+        let first = Self::new(sights, &Grid::over(-cube, cube, 2.0 * half_size / FIRST_GRID));
+        if first.shell.is_empty() {
+            return first;
+        }
+        // The shell is a surface: the number of its cells grows with the square of the resolution.
+        let cell = first.cell * (first.shell.len() as f64 / wanted as f64).sqrt();
+        let centres = || first.shell.iter().map(|(centre, _)| *centre);
+        let margin = DVec3::splat(2.0 * first.cell);
+        let low = centres().fold(cube, DVec3::min) - margin;
+        let high = centres().fold(-cube, DVec3::max) + margin;
+        Self::new(sights, &Grid::over(low, high, cell.min(half_size / 8.0)))
+    }
+
+    fn new(sights: &[Sight], grid: &Grid) -> Self {
         let inside = |i: usize| {
-            let (mut shown, point) = (0, place(i).as_vec3());
+            let (mut shown, point) = (0, grid.centre(i).as_vec3());
             for sight in sights {
                 if let Some(pixel) = sight.pixel(point) {
                     shown += 1;
@@ -150,29 +254,30 @@ impl Hull {
             }
             shown > 1
         };
-        let filled: Vec<bool> = (0..side * side * side)
+        let filled: Vec<bool> = (0..grid.cells())
             .into_par_iter()
             .with_min_len(4096)
             .map(inside)
             .collect();
+        let [width, height, depth] = grid.size;
         let is_shell = |&i: &usize| {
-            let (x, y, z) = (i % side, i / side % side, i / side / side);
-            let edge = [x, y, z].iter().any(|&c| c == 0 || c + 1 == side);
-            let strides = [1, side, side * side];
+            let edge = (0..3).any(|k| grid.at(i)[k] == 0 || grid.at(i)[k] + 1 == grid.size[k]);
+            let strides = [1, width, width * height];
             filled[i] && (edge || strides.iter().any(|s| !filled[i - s] || !filled[i + s]))
         };
-        let open = |x: i64, y: i64, z: i64| {
-            let inside = [x, y, z].iter().all(|c| (0..side as i64).contains(c));
-            !inside || !filled[(x as usize) + side * (y as usize + side * z as usize)]
+        let open = |[x, y, z]: [i64; 3]| {
+            let inside =
+                (0..width as i64).contains(&x) && (0..height as i64).contains(&y) && (0..depth as i64).contains(&z);
+            !inside || !filled[(x as usize) + width * (y as usize + height * z as usize)]
         };
         // Away from the mass of the cells around.
         let normal = |i: usize| {
-            let (x, y, z) = ((i % side) as i64, (i / side % side) as i64, (i / side / side) as i64);
+            let [x, y, z] = grid.at(i).map(|n| n as i64);
             let mut out = Vec3::ZERO;
             for dz in -REACH..=REACH {
                 for dy in -REACH..=REACH {
                     for dx in -REACH..=REACH {
-                        if open(x + dx, y + dy, z + dz) {
+                        if open([x + dx, y + dy, z + dz]) {
                             out += Vec3::new(dx as f32, dy as f32, dz as f32);
                         }
                     }
@@ -184,9 +289,9 @@ impl Hull {
         let shell = cells
             .into_par_iter()
             .with_min_len(256)
-            .map(|i| (place(i), normal(i)))
+            .map(|i| (grid.centre(i), normal(i)))
             .collect();
-        Self { cell, shell }
+        Self { cell: grid.cell, shell }
     }
 }
 
@@ -215,8 +320,8 @@ pub fn gaussians(start: &Start, opacity: f32, features: Vec<GroupSpec>) -> Table
     for (i, seed) in start.seeds.iter().enumerate() {
         table.group_mut(POSITION)[i * 3..i * 3 + 3].copy_from_slice(&seed.position.to_array());
         table.group_mut(ROTATION)[i * 4 + 3] = 1.0;
+        table.group_mut(LOG_SCALE)[i * 3..i * 3 + 3].fill(seed.spread.max(1e-9).ln());
     }
-    table.group_mut(LOG_SCALE).fill(start.spread.max(1e-9).ln());
     table.group_mut(OPACITY).fill(logit(opacity.clamp(0.01, 0.99)));
     table
 }

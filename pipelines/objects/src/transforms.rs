@@ -5,6 +5,9 @@
 //! carried over from the frame before. `docs/guide/objects.md` lists the keys.
 
 use super::error::CaptureError;
+use super::frame_spec::{
+    FrameSpec, Intrinsics, Lens, PointLight, UNDISTORT, find_image, inside, plain_name, sound_size,
+};
 use super::pinhole::Pinhole;
 use glam::{DMat3, DVec3};
 use heliosplat_raster::bounded;
@@ -14,80 +17,23 @@ use std::path::{Component, Path, PathBuf};
 
 /// Most images of a capture.
 const MOST_FRAMES: usize = 100_000;
+/// Camera models of nerfstudio that are pinholes with at most the distortion of [`Lens`].
+const PERSPECTIVE: [&str; 5] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
 
-/// Source of a frame's intrinsics, before the size of its image is known.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Intrinsics {
-    /// Focal lengths and principal point, pixels with corners at integers.
-    Given {
-        focal: [f64; 2],
-        principal: Option<[f64; 2]>,
-    },
-    /// Horizontal field of view, radians.
-    Angle(f64),
-}
-
-/// A point light with its intensity.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct PointLight {
-    /// Position in the frame of the cameras, in the capture's units.
-    pub position: DVec3,
-    /// Intensity per colour, in the capture's own units; `None` where the files do not state it.
-    pub intensity: Option<[f64; 3]>,
-}
-
-/// One image as the file describes it.
+/// The images that a file lists, and the point cloud that it names.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FrameSpec {
-    /// Name: the path as written, without extension.
-    pub name: String,
-    /// Path of the image file.
-    pub path: PathBuf,
-    /// Light, if stated.
-    pub light: Option<PointLight>,
-    pinhole: Pinhole,
-    intrinsics: Intrinsics,
-    declared_size: Option<[f64; 2]>,
-}
-
-impl FrameSpec {
-    /// Camera of the frame, whose image has `size` pixels (columns, rows). Intrinsics for an image declared in another
-    /// size are scaled.
-    ///
-    /// # Errors
-    /// A sentence with the fault when the proportions of the declared size differ by more than 2 %.
-    pub fn camera(&self, size: [usize; 2]) -> Result<Pinhole, String> {
-        let [width, height] = size.map(|n| n as f64);
-        let (mut focal, principal) = match self.intrinsics {
-            Intrinsics::Given { focal, principal } => (focal, principal),
-            Intrinsics::Angle(angle) => ([0.5 * width / (0.5 * angle).tan(); 2], None),
-        };
-        let mut principal = principal.unwrap_or([0.5 * width, 0.5 * height]);
-        if let (Some([w, h]), Intrinsics::Given { principal: given, .. }) = (self.declared_size, self.intrinsics) {
-            let scale = [width / w, height / h];
-            if (scale[0] / scale[1] - 1.0).abs() > 0.02 {
-                return Err(format!("the image has {width} x {height} pixels and not {w} x {h}"));
-            }
-            for k in 0..2 {
-                focal[k] *= scale[k];
-                principal[k] *= if given.is_some() { scale[k] } else { 1.0 };
-            }
-        }
-        Ok(Pinhole {
-            focal_px: focal,
-            // Corners at integers in the files, centres at integers here.
-            principal_px: principal.map(|c| c - 0.5),
-            size_px: size,
-            ..self.pinhole
-        })
-    }
+pub struct Listed {
+    /// The images, in the order of the file.
+    pub frames: Vec<FrameSpec>,
+    /// Point cloud of the reconstruction (nerfstudio's `ply_file_path`), in the frame of the cameras.
+    pub points: Option<PathBuf>,
 }
 
 /// Reads one `transforms` file and finds the images of its frames.
 ///
 /// # Errors
 /// [`CaptureError`] naming the file, and the frame where one is at fault.
-pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
+pub fn read(path: &Path) -> Result<Listed, CaptureError> {
     let text = bounded::read_bytes(path, bounded::TEXT_MAX).map_err(CaptureError::io(path))?;
     parse(path, &text)
 }
@@ -96,14 +42,17 @@ pub fn read(path: &Path) -> Result<Vec<FrameSpec>, CaptureError> {
 ///
 /// # Errors
 /// [`CaptureError`] with the file, and the frame where one is at fault.
-pub fn parse(path: &Path, text: &[u8]) -> Result<Vec<FrameSpec>, CaptureError> {
+pub fn parse(path: &Path, text: &[u8]) -> Result<Listed, CaptureError> {
     let value: Value = serde_json::from_slice(text).map_err(|error| {
         let remedy = "write the file anew; JSON has no NaN and no infinity";
         CaptureError::file(path, format!("it is not JSON ({error})"), remedy)
     })?;
     let folder = path.parent().unwrap_or(Path::new("."));
     let reader = Reader::new(path, folder, &value)?;
-    reader.frames()
+    Ok(Listed {
+        frames: reader.frames()?,
+        points: reader.points()?,
+    })
 }
 
 type Object = Map<String, Value>;
@@ -166,16 +115,18 @@ impl<'a> Reader<'a> {
 
     /// The images of a frame: one, or in the dialect of SSS-GS one per light.
     fn frame(&self, frame: &Object) -> Result<Vec<FrameSpec>, String> {
-        let pinhole = pose(frame)?;
+        let pose = pose(frame)?;
         let intrinsics = self.intrinsics(frame)?;
         let declared_size = self.declared_size(frame)?;
+        let lens = self.lens(frame)?;
         let spec = |written: &str, path: PathBuf, light| FrameSpec {
             name: plain_name(written),
             path,
             light,
-            pinhole,
+            pose,
             intrinsics,
             declared_size,
+            lens,
         };
         let Some(paths) = frame.get("file_paths").filter(|v| !v.is_null()) else {
             let (written, path) = self.image_of(frame)?;
@@ -207,7 +158,11 @@ impl<'a> Reader<'a> {
                 let intensity = intensities.get(i).map(intensity).transpose()?;
                 Ok(PointLight { position, intensity })
             });
-            specs.push(spec(written, self.find(written, None)?, light.transpose()?));
+            specs.push(spec(
+                written,
+                find_image(self.folder, written, None)?,
+                light.transpose()?,
+            ));
         }
         Ok(specs)
     }
@@ -227,31 +182,7 @@ impl<'a> Reader<'a> {
             ));
         }
         let written = text("file_path").ok_or("it has no `file_path`")?;
-        Ok((written, self.find(written, text("file_ext"))?))
-    }
-
-    /// The file of an image as written, whose extension may be missing.
-    fn find(&self, written: &str, extension: Option<&str>) -> Result<PathBuf, String> {
-        let relative = inside(written)?;
-        let whole = self.folder.join(&relative);
-        if whole.is_file() {
-            return Ok(whole);
-        }
-        let known = [".png", ".exr", ".jpg", ".jpeg", ".PNG", ".EXR", ".JPG"];
-        for ending in extension.into_iter().chain(known) {
-            if ending.contains(['/', '\\']) {
-                return Err(format!("`file_ext` {ending:?} is no extension"));
-            }
-            let dot = if ending.starts_with('.') { "" } else { "." };
-            let mut name = whole.clone().into_os_string();
-            name.push(dot);
-            name.push(ending);
-            let path = PathBuf::from(name);
-            if path.is_file() {
-                return Ok(path);
-            }
-        }
-        Err(format!("there is no image {written} (nor with .png, .exr or .jpg)"))
+        Ok((written, find_image(self.folder, written, text("file_ext"))?))
     }
 
     /// Intrinsics of the frame, else of the whole file.
@@ -260,12 +191,12 @@ impl<'a> Reader<'a> {
             if let Some(value) = from.get("camera_intrinsics").filter(|v| !v.is_null()) {
                 let n = numbers("camera_intrinsics", value, 4)?;
                 // Centre first.
-                return given([n[2], n[3]], Some([n[0], n[1]]));
+                return Intrinsics::given([n[2], n[3]], Some([n[0], n[1]]));
             }
             if let Some(fx) = number(from, "fl_x")? {
                 let fy = number(from, "fl_y")?.unwrap_or(fx);
                 let principal = number(from, "cx")?.zip(number(from, "cy")?).map(|(cx, cy)| [cx, cy]);
-                return given([fx, fy], principal);
+                return Intrinsics::given([fx, fy], principal);
             }
             if let Some(angle) = number(from, "camera_angle_x")? {
                 let sound = angle > 1e-4 && angle < std::f64::consts::PI - 1e-3;
@@ -277,28 +208,52 @@ impl<'a> Reader<'a> {
         Err("neither it nor the file has camera_angle_x, camera_intrinsics or fl_x".into())
     }
 
+    /// Distortion of the frame's lens, else of the whole file's (nerfstudio, instant-ngp).
+    fn lens(&self, frame: &Object) -> Result<Lens, String> {
+        let text = |from: &'a Object| from.get("camera_model").and_then(Value::as_str);
+        let model = frame.get("camera_model").and_then(Value::as_str).or(text(self.top));
+        if let Some(model) = model
+            && !PERSPECTIVE.contains(&model)
+        {
+            return Err(format!("its `camera_model` is {model}; {UNDISTORT}"));
+        }
+        let coefficient = |key: &str| -> Result<f64, String> {
+            let value = number(frame, key)?;
+            Ok(value
+                .map_or_else(|| number(self.top, key), |own| Ok(Some(own)))?
+                .unwrap_or(0.0))
+        };
+        Ok(Lens {
+            radial: [
+                coefficient("k1")?,
+                coefficient("k2")?,
+                coefficient("k3")?,
+                coefficient("k4")?,
+            ],
+            tangential: [coefficient("p1")?, coefficient("p2")?],
+        })
+    }
+
+    /// The file that `ply_file_path` names.
+    fn points(&self) -> Result<Option<PathBuf>, CaptureError> {
+        let Some(written) = self.top.get("ply_file_path").and_then(Value::as_str) else {
+            return Ok(None);
+        };
+        let path = inside(written).map(|path| self.folder.join(path));
+        let path = path.map_err(|what| CaptureError::file(self.path, what, "correct `ply_file_path`"))?;
+        Ok(Some(path))
+    }
+
     fn declared_size(&self, frame: &Object) -> Result<Option<[f64; 2]>, String> {
         for from in [frame, self.top] {
             for [w, h] in [["w", "h"], ["width", "height"]] {
                 if let Some(size) = number(from, w)?.zip(number(from, h)?) {
-                    let size = [size.0, size.1];
-                    return match size.iter().all(|&n| (1.0..1e6).contains(&n)) {
-                        true => Ok(Some(size)),
-                        false => Err(format!("an image of {} x {} pixels is none", size[0], size[1])),
-                    };
+                    return sound_size([size.0, size.1]).map(Some);
                 }
             }
         }
         Ok(None)
     }
-}
-
-fn given(focal: [f64; 2], principal: Option<[f64; 2]>) -> Result<Intrinsics, String> {
-    let sound = focal.iter().all(|f| (1e-3..1e9).contains(f));
-    let sound = sound && principal.is_none_or(|c| c.iter().all(|c| c.abs() < 1e9));
-    sound.then_some(Intrinsics::Given { focal, principal }).ok_or(format!(
-        "focal lengths {focal:?} and principal point {principal:?} are of no camera"
-    ))
 }
 
 /// `transform_matrix`, or the refined pose of GS³ (`R_opt`, `T_opt`: world to camera in OpenCV's axes, the rotation
@@ -373,44 +328,6 @@ fn matrix(key: &str, value: &Value, rows: usize, columns: usize) -> Result<Vec<V
     let list = value.as_array().filter(|list| list.len() >= rows);
     let list = list.ok_or(format!("`{key}` has fewer than {rows} rows"))?;
     list[..rows].iter().map(|row| numbers(key, row, columns)).collect()
-}
-
-/// A path as written, if it stays in its folder.
-fn inside(written: &str) -> Result<PathBuf, String> {
-    // Files written on Windows.
-    let text = written.replace('\\', "/");
-    let mut path = PathBuf::new();
-    for part in Path::new(&text).components() {
-        let stays = match part {
-            Component::CurDir => true,
-            Component::Normal(name) => {
-                path.push(name);
-                true
-            }
-            Component::ParentDir => path.pop(),
-            _ => false,
-        };
-        if !stays {
-            return Err(format!("the path {written:?} points out of the folder"));
-        }
-    }
-    if path.as_os_str().is_empty() {
-        return Err("its `file_path` is empty".into());
-    }
-    Ok(path)
-}
-
-/// A path as written without `./` and without the extension of an image.
-fn plain_name(written: &str) -> String {
-    let name = written.trim_start_matches("./");
-    let ending = Path::new(name).extension().and_then(|e| e.to_str()).unwrap_or_default();
-    let known = ["png", "exr", "jpg", "jpeg", "npy"].contains(&ending.to_ascii_lowercase().as_str());
-    let length = if known {
-        name.len() - ending.len() - 1
-    } else {
-        name.len()
-    };
-    name[..length].to_owned()
 }
 
 #[cfg(test)]

@@ -82,6 +82,7 @@ pub(super) fn fit(
         kind,
         preparation,
         parameters,
+        bounds,
         ..
     } = prepare::input(capture, kind, &config, &frames);
     let model = kind.model();
@@ -89,7 +90,7 @@ pub(super) fn fit(
     let views: Vec<View> = frames.iter().enumerate().filter_map(|(n, f)| view(f, n)).collect();
     let mut options = config.train.clone();
     options.gsd_m = (SMALLER as f64 * capture.pixel_size) as f32;
-    let mut trainer = Trainer::new(&*model, views, parameters, options, prepare::bounds(capture), None)?;
+    let mut trainer = Trainer::new(&*model, views, parameters, options, bounds, None)?;
     let begun = Instant::now();
     while !trainer.finished() {
         trainer.step()?;

@@ -2,8 +2,8 @@
 
 use super::capture::{Capture, Frame};
 use super::config::Background;
+use super::frame_spec::PointLight;
 use super::pixels::{Encoding, Picture};
-use super::transforms::PointLight;
 use glam::DVec3;
 use heliosplat::Raster;
 use heliosplat::light::Light;

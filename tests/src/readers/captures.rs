@@ -8,11 +8,11 @@ use heliosplat::model::radiance::RadianceOptions;
 use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat_exchange::splat_ply;
 use heliosplat_objects::config::ObjectConfig;
+use heliosplat_objects::frame_spec::PointLight;
 use heliosplat_objects::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
 use heliosplat_objects::pinhole::Pinhole;
 use heliosplat_objects::pixels::Encoding;
 use heliosplat_objects::run::ObjectRun;
-use heliosplat_objects::transforms::PointLight;
 use heliosplat_objects::views::Preparation;
 use heliosplat_scene::Split;
 use std::path::Path;
@@ -51,6 +51,74 @@ pub(super) fn transforms() -> Vec<Vec<u8>> {
     ]
     .map(String::into_bytes)
     .to_vec()
+}
+
+/// Cameras, images and points of a COLMAP model, as text and binary.
+pub(super) fn colmap() -> Vec<Vec<u8>> {
+    let numbers = |values: &[f64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+    let one = 1u64.to_le_bytes().to_vec();
+    let cameras = [
+        one.clone(),
+        vec![1, 0, 0, 0, 1, 0, 0, 0],
+        64u64.to_le_bytes().to_vec(),
+        48u64.to_le_bytes().to_vec(),
+        numbers(&[80.5, 80.1, 32.0, 24.0]),
+    ];
+    let images = [
+        one.clone(),
+        vec![1, 0, 0, 0],
+        numbers(&[0.5, 0.5, -0.5, 0.5, 0.1, 0.2, 4.0]),
+        vec![1, 0, 0, 0],
+        b"r_0.png\0".to_vec(),
+        2u64.to_le_bytes().to_vec(),
+        vec![0; 48],
+    ];
+    let points = [
+        one.clone(),
+        one.clone(),
+        numbers(&[0.1, 0.2, 0.3]),
+        vec![9, 8, 7],
+        numbers(&[0.5]),
+        one,
+        vec![0; 8],
+    ];
+    [
+        b"# cameras\n1 PINHOLE 64 48 80.5 80.1 32 24\n2 SIMPLE_PINHOLE 64 48 80.5 32 24\n".to_vec(),
+        b"# images\n1 0.5 0.5 -0.5 0.5 0.1 0.2 4 1 r_0.png\n\n2 1 0 0 0 0 0 4 1 r_1.png\n1.5 2.5 -1\n".to_vec(),
+        b"# points\n1 0.1 0.2 0.3 9 8 7 0.5 1 2 3 4\n".to_vec(),
+        cameras.concat(),
+        images.concat(),
+        points.concat(),
+    ]
+    .to_vec()
+}
+
+/// A `cameras.csv`.
+pub(super) fn tables() -> Vec<Vec<u8>> {
+    let header = "name,fx,fy,cx,cy,width,height,r11,r12,r13,r21,r22,r23,r31,r32,r33,t1,t2,t3";
+    vec![
+        format!("{header}\nr_0.png,80.5,80.1,32,24,64,48,1,0,0,0,1,0,0,0,1,0.1,0.2,4\nr_1,80,80,32,24,64,48,0,-1,0,1,0,0,0,0,1,0,0,4\n")
+            .into_bytes(),
+    ]
+}
+
+/// Point clouds in PLY, as text and binary.
+pub(super) fn clouds() -> Vec<Vec<u8>> {
+    let header = |format: &str, kind: &str| {
+        let axes = ["x", "y", "z"].map(|axis| format!("property {kind} {axis}\n")).concat();
+        let colours = ["red", "green", "blue"]
+            .map(|colour| format!("property uchar {colour}\n"))
+            .concat();
+        format!("ply\nformat {format} 1.0\nelement vertex 1\n{axes}{colours}end_header\n").into_bytes()
+    };
+    let mut text = header("ascii", "float");
+    text.extend(b"0.1 0.2 0.3 9 8 7\n");
+    let mut binary = header("binary_little_endian", "double");
+    [0.1f64, 0.2, 0.3]
+        .iter()
+        .for_each(|value| binary.extend(value.to_le_bytes()));
+    binary.extend([9, 8, 7]);
+    vec![text, binary]
 }
 
 /// A small model of one light at a time with all of its parts.

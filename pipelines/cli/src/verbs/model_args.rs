@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 /// `train`.
 #[derive(Debug, Clone, Args)]
 pub struct TrainArgs {
-    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or a capture with transforms_train.json
+    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or a capture with transforms.json, a COLMAP model or cameras.csv
     #[arg(value_name = "SCENE", required = true)]
     pub scenes: Vec<PathBuf>,
     /// Path of the scene that `scenes` form.

@@ -43,7 +43,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
             return Err(CliError::Input(text));
         }
     }
-    let lists = ["transforms.json", "transforms_train.json"].map(|name| args.scene.join(name));
+    let lists = ["transforms.json", "transforms_train.json", "cameras.csv"].map(|name| args.scene.join(name));
     Inputs::of_files(lists.iter().chain([&args.scene])).keep_folder(&args.out)?;
     let preset = args.preset.map(Preset::from).unwrap_or_default();
     let config = ObjectConfig::resolve(preset, &args.set, args.seed)?;
@@ -298,7 +298,7 @@ pub(crate) fn inspect(path: &Path) -> Result<Outcome, CliError> {
     let encoding = capture.frames.first().map(|f| f.picture.encoding);
     let coverage = capture.has_coverage();
     let text = format!(
-        "a capture of an object (transforms file)\nmodel          {kind:?}: {kind_why}\nimages         {train} to train with, {test} held out, {} x {} pixels\nvalues         {}, {}\nbackground     {background:?}: {why}\nlights         {lights} images have a point light\ncentre         {:.4}, half size {:.4}, a pixel there is {:.5} wide",
+        "a capture of an object\nmodel          {kind:?}: {kind_why}\nimages         {train} to train with, {test} held out, {} x {} pixels\nvalues         {}, {}\nbackground     {background:?}: {why}\nlights         {lights} images have a point light\ncentre         {:.4}, half size {:.4}, a pixel there is {:.5} wide",
         size[0],
         size[1],
         if encoding == Some(Encoding::Linear) {

@@ -21,7 +21,7 @@ fn frames(value: &Value) -> Result<Vec<FrameSpec>, CaptureError> {
     }
     let path = folder.path().join("transforms_train.json");
     std::fs::write(&path, value.to_string()).expect("a file");
-    read(&path)
+    read(&path).map(|listed| listed.frames)
 }
 
 fn only(value: Value) -> (Pinhole, Option<PointLight>, String) {
@@ -100,7 +100,7 @@ fn lists_of_lights_are_an_image_each() {
     assert_eq!(frames[1].light.expect("a light").position, DVec3::new(4.0, 5.0, 6.0));
     assert_eq!(frames[1].light.expect("a light").intensity, Some([1.0, 2.0, 3.0]));
     assert!(frames[1].path.ends_with("train/b.exr"));
-    assert_eq!(frames[0].pinhole, frames[1].pinhole);
+    assert_eq!(frames[0].pose, frames[1].pose);
 }
 
 #[test]
@@ -166,7 +166,7 @@ fn an_image_of_another_shape_than_declared_is_refused() {
     let error = frames(&value).expect("a sound file")[0]
         .camera(SIZE)
         .expect_err("another shape");
-    assert!(error.contains("40 x 30"), "{error}");
+    assert!(error.0.contains("40 x 30"), "{error:?}");
 }
 
 #[test]
@@ -180,6 +180,11 @@ fn listed_images_are_left_out() {
         {"file_path": "b", "transform_matrix": m}]});
     let path = folder.path().join("transforms.json");
     std::fs::write(&path, value.to_string()).expect("a file");
-    let names: Vec<String> = read(&path).expect("a sound file").into_iter().map(|f| f.name).collect();
+    let names: Vec<String> = read(&path)
+        .expect("a sound file")
+        .frames
+        .into_iter()
+        .map(|f| f.name)
+        .collect();
     assert_eq!(names, ["b"]);
 }
