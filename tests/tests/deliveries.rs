@@ -1033,7 +1033,7 @@ fn an_image_that_fits_no_other_is_named_and_not_called_cloudy() {
 
 /// The image is one of those of `synth satellite --site block --seed 5 --views 4` that are trained on.
 #[test]
-fn a_mirrored_camera_is_left_out_of_tiles_too() {
+fn a_mirrored_camera_is_left_out_of_tiles_and_batches_too() {
     let home = tempdir().expect("a temporary folder");
     let scene = home.path().join("scene");
     let word = scene.display().to_string();
@@ -1056,6 +1056,15 @@ fn a_mirrored_camera_is_left_out_of_tiles_too() {
     let left_out = said.lines().filter(|line| line.contains("is left out"));
     let named: Vec<&str> = left_out.filter(|line| line.contains("block_005_02")).collect();
     assert!(named.len() == 1 && said.contains(" tiles ("), "{said}");
+    let manifest = home.path().join("batch.toml");
+    let text = "[tiles]\nside_m = 80.0\n[[images]]\nname = \"a\"\nscene = \"scene\"\n[[presets]]\nname = \"sweep\"\n";
+    fs::write(&manifest, text).expect("written");
+    let out = home.path().join("out").display().to_string();
+    let done = json(&["batch", &manifest.display().to_string(), "--out", &out]);
+    assert!(done["failed"] == 0 && done["done"].as_u64() >= Some(4), "{done}");
+    let units = done["units"].as_array().expect("units");
+    let adjusted = units.iter().find(|unit| unit["kind"] == "adjust").expect("cameras");
+    assert_eq!(adjusted["metrics"]["left_out"], serde_json::json!(["block_005_02"]));
 }
 
 /// Four like views: ties are found between swapped cameras too, and only their residual shows the contradiction.
