@@ -25,6 +25,24 @@ pub fn header<'a>(comments: &[String], count: usize, columns: impl Iterator<Item
     bytes
 }
 
+/// Splits a file into its header, a text, and the bytes after it, whatever ends the lines.
+///
+/// # Errors
+/// A sentence on the fault of the file.
+pub fn split(bytes: &[u8]) -> Result<(&str, &[u8]), String> {
+    const END: &[u8] = b"end_header";
+    let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
+    let end = head
+        .windows(END.len())
+        .position(|w| w == END)
+        .ok_or("it has no PLY header")?;
+    let header = std::str::from_utf8(&head[..end]).map_err(|_| "its header is not text")?;
+    let body = &bytes[end + END.len()..];
+    let body = body.strip_prefix(b"\r").unwrap_or(body);
+    let body = body.strip_prefix(b"\n").ok_or("its header has no end")?;
+    Ok((header, body))
+}
+
 /// Columns and rows of a file.
 pub struct Rows<'a> {
     /// Number of rows.
@@ -40,12 +58,7 @@ impl<'a> Rows<'a> {
     /// # Errors
     /// A sentence on the fault of the file.
     pub fn open(bytes: &'a [u8]) -> Result<Self, String> {
-        let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
-        let end = head
-            .windows(END.len())
-            .position(|w| w == END)
-            .ok_or("it has no PLY header")?;
-        let header = std::str::from_utf8(&head[..end]).map_err(|_| "its header is not text")?;
+        let (header, values) = split(bytes)?;
         if !header.starts_with(FORMAT) {
             return Err("it is not a binary little-endian PLY".into());
         }
@@ -60,7 +73,6 @@ impl<'a> Rows<'a> {
             .map(|property| property.strip_prefix("float ").map(str::trim))
             .collect::<Option<Vec<_>>>()
             .ok_or("it has properties that are not floats")?;
-        let values = &bytes[end + END.len()..];
         if count.checked_mul(columns.len() * size_of::<f32>()) != Some(values.len()) {
             return Err(format!(
                 "it claims {count} Gaussians but holds {} bytes of them",

@@ -1,9 +1,7 @@
 //! Point clouds of reconstructions, from which a training may start.
 
 use glam::DVec3;
-
-/// Longest header of a PLY file, bytes.
-const HEADER_LIMIT: usize = 64 * 1024;
+use heliosplat_exchange::ply;
 
 /// A point in the frame of the cameras with its display colour, 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,16 +49,7 @@ fn number(bytes: &[u8]) -> f64 {
 /// # Errors
 /// A sentence on the fault.
 pub fn read_ply(bytes: &[u8]) -> Result<Vec<Point>, String> {
-    const END: &[u8] = b"end_header";
-    let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
-    let end = head
-        .windows(END.len())
-        .position(|w| w == END)
-        .ok_or("it has no PLY header")?;
-    let header = std::str::from_utf8(&head[..end]).map_err(|_| "its header is not text")?;
-    let body = &bytes[end + END.len()..];
-    let body = body.strip_prefix(b"\r").unwrap_or(body);
-    let body = body.strip_prefix(b"\n").ok_or("its header has no end")?;
+    let (header, body) = ply::split(bytes)?;
     // Columns of the vertices, which must be the first element.
     let (mut binary, mut count, mut columns) = (false, None, Vec::new());
     for line in header.lines() {
