@@ -24,67 +24,94 @@ fn window() -> [f32; 2 * RADIUS + 1] {
 
 /// Pixels that are convolved together: their sums stay in registers.
 const LANES: usize = 16;
-/// Rows per parallel job.
-const ROWS: usize = 16;
+/// Rows of a strip, a parallel job: with its margins it fits a cache.
+const ROWS: usize = 32;
 
 vectorised! {
-    /// Convolves `rows` along their length; `padded` is room for a row with its margins.
-    fn along(rows: &[f32], width: usize, weights: &[f32; 2 * RADIUS + 1], padded: &mut [f32], out: &mut [f32]) {
-        for (row, out) in rows.chunks_exact(width).zip(out.chunks_exact_mut(width)) {
-            padded[RADIUS..RADIUS + width].copy_from_slice(row);
-            for (number, out) in out.chunks_mut(LANES).enumerate() {
-                let mut sums = [0.0; LANES];
-                for (tap, &w) in weights.iter().enumerate() {
-                    let from = &padded[number * LANES + tap..number * LANES + tap + LANES];
-                    for l in 0..LANES {
-                        sums[l] += w * from[l];
-                    }
-                }
-                out.copy_from_slice(&sums[..out.len()]);
-            }
-        }
-    }
-}
-
-vectorised! {
-    /// Sums the rows around row `row` of a plane, weighted.
-    fn across(plane: &[f32], width: usize, weights: &[f32; 2 * RADIUS + 1], row: usize, out: &mut [f32]) {
-        let height = plane.len() / width;
-        let taps = RADIUS.saturating_sub(row)..(2 * RADIUS + 1).min(height + RADIUS - row);
-        for (number, out) in out.chunks_mut(LANES).enumerate() {
+    /// Convolves a row along its length; `padded` has the row with zeros on both sides.
+    fn along(padded: &[f32], weights: &[f32; 2 * RADIUS + 1], out: &mut [f32]) {
+        for (number, out) in out.chunks_exact_mut(LANES).enumerate() {
             let mut sums = [0.0; LANES];
-            for tap in taps.clone() {
-                let start = (row + tap - RADIUS) * width + number * LANES;
-                if let Some(from) = plane.get(start..start + LANES) {
-                    for l in 0..LANES {
-                        sums[l] += weights[tap] * from[l];
-                    }
-                } else {
-                    for (sum, value) in sums.iter_mut().zip(&plane[start..]) {
-                        *sum += weights[tap] * value;
-                    }
+            for (tap, &w) in weights.iter().enumerate() {
+                let from = &padded[number * LANES + tap..number * LANES + tap + LANES];
+                for l in 0..LANES {
+                    sums[l] += w * from[l];
                 }
             }
-            out.copy_from_slice(&sums[..out.len()]);
+            out.copy_from_slice(&sums);
         }
     }
 }
 
-/// Convolves a plane with the window; outside the plane is zero, which makes the operation its own adjoint.
-fn blur(plane: &[f32], width: usize) -> Vec<f32> {
-    let weights = window();
-    let mut smooth = vec![0.0f32; plane.len()];
-    smooth
-        .par_chunks_mut(ROWS * width)
-        .zip(plane.par_chunks(ROWS * width))
-        .for_each_init(
-            || vec![0.0; width + 2 * RADIUS + LANES],
-            |padded, (out, rows)| along(rows, width, &weights, padded, out),
-        );
-    let mut out = vec![0.0f32; plane.len()];
-    let rows = out.par_chunks_mut(width).with_min_len(ROWS).enumerate();
-    rows.for_each(|(row, out)| across(&smooth, width, &weights, row, out));
-    out
+vectorised! {
+    /// Sums the first rows of `rows`, one for each weight; a row has the length of `out`.
+    fn across(rows: &[f32], weights: &[f32], out: &mut [f32]) {
+        let stride = out.len();
+        for (number, out) in out.chunks_exact_mut(LANES).enumerate() {
+            let mut sums = [0.0; LANES];
+            for (tap, &w) in weights.iter().enumerate() {
+                let start = tap * stride + number * LANES;
+                let from = &rows[start..start + LANES];
+                for l in 0..LANES {
+                    sums[l] += w * from[l];
+                }
+            }
+            out.copy_from_slice(&sums);
+        }
+    }
+}
+
+/// Room to convolve a strip of `P` planes at once.
+struct Strip<const P: usize> {
+    weights: [f32; 2 * RADIUS + 1],
+    width: usize,
+    height: usize,
+    padded: Vec<f32>,
+    /// The rows of the strip and of its margins, convolved along their length.
+    rows: [Vec<f32>; P],
+    out: [Vec<f32>; P],
+}
+
+impl<const P: usize> Strip<P> {
+    fn new(width: usize, height: usize) -> Self {
+        let stride = width.next_multiple_of(LANES);
+        Self {
+            weights: window(),
+            width,
+            height,
+            padded: vec![0.0; stride + 2 * RADIUS],
+            rows: [(); P].map(|()| vec![0.0; stride * (ROWS + 2 * RADIUS)]),
+            out: [(); P].map(|()| vec![0.0; stride]),
+        }
+    }
+
+    /// Convolves strip `number` of the planes and hands its rows to `done`. `fill` writes a row of a plane. Outside the
+    /// planes is zero, which makes the operation its own adjoint.
+    fn convolve(
+        &mut self,
+        number: usize,
+        fill: impl Fn(usize, usize, &mut [f32]),
+        mut done: impl FnMut(usize, [&[f32]; P]),
+    ) {
+        let stride = self.out[0].len();
+        let rows = number * ROWS..((number + 1) * ROWS).min(self.height);
+        let first = rows.start.saturating_sub(RADIUS);
+        for row in first..(rows.end + RADIUS).min(self.height) {
+            let place = (row - first) * stride..(row - first + 1) * stride;
+            for (plane, smooth) in self.rows.iter_mut().enumerate() {
+                fill(plane, row, &mut self.padded[RADIUS..RADIUS + self.width]);
+                along(&self.padded, &self.weights, &mut smooth[place.clone()]);
+            }
+        }
+        for row in rows.clone() {
+            let taps = RADIUS.saturating_sub(row)..(2 * RADIUS + 1).min(self.height + RADIUS - row);
+            let start = (row + taps.start - RADIUS - first) * stride;
+            for (smooth, out) in self.rows.iter().zip(&mut self.out) {
+                across(&smooth[start..], &self.weights[taps.clone()], out);
+            }
+            done(row - rows.start, self.out.each_ref().map(|out| &out[..self.width]));
+        }
+    }
 }
 
 /// The greater, `b` where `a` is not a number: one instruction.
@@ -93,29 +120,20 @@ fn most(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// Windowed means of two planes and of their products.
-struct Means {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    xx: Vec<f32>,
-    yy: Vec<f32>,
-    xy: Vec<f32>,
-}
-
 /// Result of [`ssim_pixels`]: SSIM times its weight, and its gradients to the means of x, xx and xy.
-struct Slopes {
-    value: Vec<f32>,
-    x: Vec<f32>,
-    xx: Vec<f32>,
-    xy: Vec<f32>,
+struct Slopes<'a> {
+    value: &'a mut [f32],
+    x: &'a mut [f32],
+    xx: &'a mut [f32],
+    xy: &'a mut [f32],
 }
 
 vectorised! {
-    /// SSIM of every pixel.
-    fn ssim_pixels(means: &Means, weight: &[f32], out: &mut Slopes) {
+    /// SSIM of every pixel from the windowed means of x, y, xx, yy and xy.
+    fn ssim_pixels(means: [&[f32]; 5], weight: &[f32], out: &mut Slopes) {
         let n = weight.len();
-        let (mx, my, xx) = (&means.x[..n], &means.y[..n], &means.xx[..n]);
-        let (yy, xy) = (&means.yy[..n], &means.xy[..n]);
+        let [mx, my, xx, yy, xy] = means;
+        let (mx, my, xx, yy, xy) = (&mx[..n], &my[..n], &xx[..n], &yy[..n], &xy[..n]);
         let Slopes { value, x, xx: d_xx, xy: d_xy } = out;
         let (value, d_mx, d_xx, d_xy) = (&mut value[..n], &mut x[..n], &mut d_xx[..n], &mut d_xy[..n]);
         for i in 0..n {
@@ -142,28 +160,66 @@ vectorised! {
 
 /// SSIM per pixel of two planes, and the gradient of `Σ weight · SSIM` to the first.
 fn ssim_plane(x: &[f32], y: &[f32], width: usize, weight: &[f32]) -> (f64, Vec<f32>) {
-    let product = |a: &[f32], b: &[f32]| -> Vec<f32> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
-    let means = Means {
-        x: blur(x, width),
-        y: blur(y, width),
-        xx: blur(&product(x, x), width),
-        yy: blur(&product(y, y), width),
-        xy: blur(&product(x, y), width),
+    let height = x.len() / width;
+    let product = |a: &[f32], b: &[f32], out: &mut [f32]| {
+        out.iter_mut().zip(a).zip(b).for_each(|((out, a), b)| *out = a * b);
     };
-    let room = || vec![0.0; x.len()];
-    let mut slopes = Slopes {
-        value: room(),
-        x: room(),
-        xx: room(),
-        xy: room(),
-    };
-    ssim_pixels(&means, weight, &mut slopes);
-    let total = slopes.value.iter().map(|&v| f64::from(v)).sum();
-    let (d_mx, d_xx, d_xy) = (blur(&slopes.x, width), blur(&slopes.xx, width), blur(&slopes.xy, width));
-    let gradient = (0..x.len())
-        .map(|i| d_mx[i] + 2.0 * x[i] * d_xx[i] + y[i] * d_xy[i])
+    let mut slopes = [(); 3].map(|()| vec![0.0f32; x.len()]);
+    let [d_mx, d_xx, d_xy] = &mut slopes;
+    let strips = d_mx
+        .par_chunks_mut(ROWS * width)
+        .zip(d_xx.par_chunks_mut(ROWS * width))
+        .zip(d_xy.par_chunks_mut(ROWS * width))
+        .enumerate();
+    let totals: Vec<f64> = strips
+        .map_init(
+            || (Strip::new(width, height), vec![0.0; width]),
+            |(strip, value), (number, ((d_mx, d_xx), d_xy))| {
+                let mut total = 0.0f64;
+                let fill = |plane: usize, row: usize, out: &mut [f32]| {
+                    let (x, y) = (&x[row * width..(row + 1) * width], &y[row * width..(row + 1) * width]);
+                    match plane {
+                        0 => out.copy_from_slice(x),
+                        1 => out.copy_from_slice(y),
+                        2 => product(x, x, out),
+                        3 => product(y, y, out),
+                        _ => product(x, y, out),
+                    }
+                };
+                strip.convolve(number, fill, |row, means| {
+                    let own = row * width..(row + 1) * width;
+                    let start = (number * ROWS + row) * width;
+                    let mut out = Slopes {
+                        value: value.as_mut_slice(),
+                        x: &mut d_mx[own.clone()],
+                        xx: &mut d_xx[own.clone()],
+                        xy: &mut d_xy[own],
+                    };
+                    ssim_pixels(means, &weight[start..start + width], &mut out);
+                    total += value.iter().map(|&v| f64::from(v)).sum::<f64>();
+                });
+                total
+            },
+        )
         .collect();
-    (total, gradient)
+    let mut gradient = vec![0.0f32; x.len()];
+    gradient.par_chunks_mut(ROWS * width).enumerate().for_each_init(
+        || Strip::new(width, height),
+        |strip, (number, out)| {
+            let fill = |plane: usize, row: usize, out: &mut [f32]| {
+                out.copy_from_slice(&slopes[plane][row * width..(row + 1) * width]);
+            };
+            strip.convolve(number, fill, |row, [d_mx, d_xx, d_xy]: [&[f32]; 3]| {
+                let start = (number * ROWS + row) * width;
+                let out = &mut out[row * width..(row + 1) * width];
+                let (x, y) = (&x[start..start + width], &y[start..start + width]);
+                for i in 0..width {
+                    out[i] = d_mx[i] + 2.0 * x[i] * d_xx[i] + y[i] * d_xy[i];
+                }
+            });
+        },
+    );
+    (totals.iter().sum(), gradient)
 }
 
 /// The loss between a rendered and a true image, and its gradient to the rendered one.

@@ -24,6 +24,8 @@ const FAR_RAD: f64 = 0.15;
 
 /// Most held-out images that are scored during training.
 const PROBED: usize = 3;
+/// Most training images that are scored afterwards; all held-out images are.
+const SCORED: usize = 25;
 
 /// A frame and its rendering, of one size.
 pub struct Compared {
@@ -62,9 +64,7 @@ pub fn is_linear(model: &ObjectModel) -> bool {
 /// Probe of a training: mean PSNR on at most three held-out images; `file` describes the model. `None` without held-out
 /// images.
 pub(super) fn psnr_probe(capture: &Capture, file: ObjectFile) -> Option<Box<Probe<'_>>> {
-    let held_out: Vec<&Frame> = capture.of(Split::Test).collect();
-    let step = held_out.len().div_ceil(PROBED).max(1);
-    let frames: Vec<&Frame> = held_out.into_iter().step_by(step).collect();
+    let frames = at_most(PROBED, capture.of(Split::Test).collect());
     if frames.is_empty() {
         return None;
     }
@@ -81,6 +81,12 @@ pub(super) fn psnr_probe(capture: &Capture, file: ObjectFile) -> Option<Box<Prob
             psnr_db: Some(psnrs.iter().sum::<f64>() / psnrs.len() as f64),
         })
     }))
+}
+
+/// At most `count` of these images, evenly spread.
+fn at_most(count: usize, frames: Vec<&Frame>) -> Vec<&Frame> {
+    let step = frames.len().div_ceil(count).max(1);
+    frames.into_iter().step_by(step).collect()
 }
 
 /// Mean scores of images; with `folder`, each image and its rendering are written there.
@@ -193,7 +199,7 @@ fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<
     (angles > 0).then(|| json!({"mean_deg": angle / angles as f64, "parts": parts}))
 }
 
-/// Content of `metrics.json`: scores on training and held-out images. Held-out images and their renderings are written
+/// Content of `metrics.json`: scores on some training images and on all held-out ones. Held-out images and their renderings are written
 /// into the folder `pictures`, if given.
 ///
 /// # Errors
@@ -217,7 +223,7 @@ pub fn metrics(model: &ObjectModel, capture: &Capture, pictures: Option<&Path>) 
             place[key] = found;
         }
     };
-    add("", "train", score(&train, None)?);
+    add("", "train", score(&at_most(SCORED, train.clone()), None)?);
     add("", "test", score(&test, pictures)?);
     add("/test", "normals", by_part(model, capture, &test));
     if matches!(model.file.kind, Kind::Olat(_)) {

@@ -5,14 +5,18 @@ use super::config::Background;
 use super::frame_spec::PointLight;
 use super::pixels::{Encoding, Picture};
 use glam::DVec3;
-use heliosplat::Raster;
 use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::shade::display;
+use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_grid::statistics::upper_quantile;
 
 /// A border is one colour when half of its pixels are this close to it.
 const SAME_COLOUR: f32 = 0.02;
+/// Band of coverage in an image for training.
+const COVERAGE_BAND: usize = 3;
+/// Margin of a cropped view, pixels: more than the window of SSIM reaches at half size.
+const MARGIN_PX: usize = 16;
 
 /// Background of the images of `capture`, and the reason.
 pub fn background(capture: &Capture, wanted: Background) -> ([f32; 3], &'static str) {
@@ -102,7 +106,7 @@ impl Preparation {
     }
 }
 
-/// A frame as a view for training: under a light of strength one, where lights are modelled. `None` when its camera
+/// The part of a frame that shows the object as a view for training: under a light of strength one, where lights are modelled. `None` when its camera
 /// looks away from the capture's centre.
 pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance: usize) -> Option<View> {
     let mut image = preparation.image(&frame.picture);
@@ -117,7 +121,7 @@ pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance:
             }
         }
     }
-    Some(View {
+    Some(cropped(View {
         name: frame.name.clone(),
         camera: frame.camera.projective(centre)?,
         weight: vec![1.0; image.plane_len()],
@@ -128,7 +132,60 @@ pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance:
         visibility_prior: None,
         ceiling: Vec::new(),
         image: image.into(),
-    })
+    }))
+}
+
+/// The part of a view with coverage and a margin around it; all of a view without coverage. Outside there is background
+/// alone, on which the loss would spend most of its time.
+fn cropped(view: View) -> View {
+    let (width, height) = (view.image.width, view.image.height);
+    if view.image.bands <= COVERAGE_BAND {
+        return view;
+    }
+    let coverage = view.image.plane(COVERAGE_BAND);
+    let row_is_covered = |&row: &usize| coverage[row * width..(row + 1) * width].iter().any(|&c| c > 0.0);
+    let column_is_covered = |&col: &usize| coverage[col..].iter().step_by(width).any(|&c| c > 0.0);
+    let span = |first: Option<usize>, last: Option<usize>, count: usize| {
+        let (first, last) = (first?, last?);
+        Some(first.saturating_sub(MARGIN_PX)..(last + 1 + MARGIN_PX).min(count))
+    };
+    let rows = span(
+        (0..height).find(row_is_covered),
+        (0..height).rfind(row_is_covered),
+        height,
+    );
+    let cols = span(
+        (0..width).find(column_is_covered),
+        (0..width).rfind(column_is_covered),
+        width,
+    );
+    let Some((rows, cols)) = rows.zip(cols) else {
+        return view;
+    };
+    let mut image = Raster {
+        width: cols.len(),
+        height: rows.len(),
+        bands: view.image.bands,
+        values: Vec::with_capacity(view.image.bands * rows.len() * cols.len()),
+    };
+    for band in 0..image.bands {
+        for row in rows.clone() {
+            let start = row * width;
+            let values = &view.image.plane(band)[start + cols.start..start + cols.end];
+            image.values.extend_from_slice(values);
+        }
+    }
+    let moved = view.camera.shifted(-(cols.start as f32), -(rows.start as f32));
+    View {
+        camera: ProjectiveCamera {
+            width: image.width,
+            height: image.height,
+            ..moved
+        },
+        weight: vec![1.0; image.plane_len()],
+        image: image.into(),
+        ..view
+    }
 }
 
 #[cfg(test)]
@@ -163,6 +220,50 @@ mod tests {
         let image = preparation(false).image(&picture(Encoding::Display));
         assert_eq!(image.bands, 4);
         assert_eq!(image.values, [0.8, 0.6, 0.3, 0.6, 0.55, 0.6, 0.5, 1.0]);
+    }
+
+    #[test]
+    fn a_view_is_the_part_with_coverage_and_its_margin() {
+        let (width, height) = (60, 50);
+        let mut image = Raster::filled(width, height, 4, 0.0);
+        image
+            .values
+            .iter_mut()
+            .zip(0..)
+            .for_each(|(value, n)| *value = n as f32);
+        let covered = image.plane_mut(COVERAGE_BAND);
+        covered.fill(0.0);
+        covered[20 * width + 30] = 0.5;
+        covered[3 * width + 25] = 1.0;
+        let whole = View {
+            name: "a".into(),
+            camera: ProjectiveCamera::nadir(-10.0, 10.0, 0.5, (width, height)),
+            weight: vec![1.0; image.plane_len()],
+            light: None,
+            appearance: 0,
+            visibility_prior: None,
+            ceiling: Vec::new(),
+            image: image.into(),
+        };
+        let part = cropped(whole.clone());
+        // Columns 25 to 30 and rows 3 to 20, with the margin where there is one.
+        assert_eq!(
+            (part.image.width, part.image.height),
+            (6 + 2 * MARGIN_PX, 21 + MARGIN_PX)
+        );
+        assert_eq!(
+            (part.camera.width, part.camera.height),
+            (part.image.width, part.image.height)
+        );
+        let (first, place) = (25 - MARGIN_PX, glam::Vec3::new(3.0, 4.0, 0.0));
+        assert_eq!(part.image.at(1, 0, 2), whole.image.at(1, first, 2));
+        let (before, after) = (whole.camera.project(place), part.camera.project(place));
+        assert!((before.0 - first as f32 - after.0).abs() < 1e-4 && (before.1 - after.1).abs() < 1e-4);
+        let empty = View {
+            image: Raster::filled(width, height, 4, 0.0).into(),
+            ..whole
+        };
+        assert_eq!(cropped(empty.clone()).image, empty.image);
     }
 
     #[test]
