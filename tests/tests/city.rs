@@ -76,7 +76,7 @@ name = \"sweep\"
     let units = plan["units"].as_array().expect("units");
     // The grid is the smallest that holds the rectangle, which a map's north turns.
     let count = |kind: &str| units.iter().filter(|unit| unit["work"]["kind"] == kind).count();
-    // Cells of 0.5 m: more than one block in each direction.
+    // Two kilometres of these images are more than 4,096 cells in each direction.
     let counts = ["adjust", "tile", "block", "joined"].map(count);
     assert_eq!((counts, units.len()), ([1, 21 * 21, 4, 1], 447));
     // Kept: neither the delivery nor the executable is read once more.
