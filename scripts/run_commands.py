@@ -26,6 +26,7 @@ SKIPPED = {
     r"\broot_dir/": "needs published data",
     r"--geoid egm2008": "needs a grid of PROJ that is not always there",
     r"/vsi|s3://|https?://": "needs a network",
+    r"\bundistorted\b": "needs COLMAP",
 }
 
 # Replacements that keep a command small, in order; the first column limits them to commands that match it.
