@@ -180,7 +180,8 @@ pub struct SatelliteRequest {
     /// all its altitudes.
     pub size_px: Option<usize>,
     /// Width and height of the file of every image, 16 to 100,000 pixels; the image lies at an offset, and the rest is
-    /// missing (0) and takes no space. The sensor's scene is at least as wide, so that the RPC holds over the whole file. If absent, a file is as large as its image. Absent from the manifest if absent.
+    /// missing (0) and takes no space. The sensor's scene is at least as wide, so that the RPC holds over the whole
+    /// file. If absent, a file is as large as its image, and the manifest does not name it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub canvas_px: Option<usize>,
     /// Bands of the images.

@@ -89,7 +89,8 @@ impl Rpc {
         if !span.is_finite() {
             return Err(failure());
         }
-        // The scales of the image or those of the ground may be those of other pixels, so one of the two gives its extent.
+        // The scales of the image or those of the ground may be those of other pixels, so one of the two gives its
+        // extent.
         let is_straight = |over: Matrix2<f64>| {
             BORDER.iter().all(|&(x, y)| {
                 let slope = problem.evaluate(over * Vector2::new(x, y)).slope;

@@ -88,7 +88,8 @@ fn assert_same(a: &[(PathBuf, Vec<u8>)], b: &[(PathBuf, Vec<u8>)]) {
     }
 }
 
-/// Starts the batch in a process group of its own and kills all of it after a while, unless it is done before; whether it was killed.
+/// Starts the batch in a process group of its own and kills all of it after a while, unless it is done before; whether
+/// it was killed.
 fn killed_after(home: &Path, out: &str, wait: Duration) -> bool {
     let mut command = Command::new(binary());
     command
@@ -392,7 +393,8 @@ fn products_of_the_mosaic(out: &Path) {
     assert!(page == std::fs::read_to_string(Path::new(&folder).join("report.html")).expect("a page"));
 }
 
-/// The 3D Tiles of a mosaic: levels of detail, files that are there, and the site's middle where it is; `export` of its folder writes the same.
+/// The 3D Tiles of a mosaic: levels of detail, files that are there, and the site's middle where it is; `export` of its
+/// folder writes the same.
 fn of_globes(folder: &Path, dsm: &Dataset, assets: &serde_json::Map<String, Value>) {
     let again = tempdir().expect("a temporary folder");
     for (name, mesh) in [("splats", false), ("surface", true)] {

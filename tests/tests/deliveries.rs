@@ -1,5 +1,5 @@
-//! Images as vendors pack them: panchromatic and multispectral files of one acquisition, images cut into tiles, gains, stretches to eight
-//! bits, and images of several resolutions.
+//! Images as vendors pack them: panchromatic and multispectral files of one acquisition, images cut into tiles, gains,
+//! stretches to eight bits, and images of several resolutions.
 
 use heliosplat::Raster;
 use heliosplat_raster::{Crs, CrsTransform, GeoTransform, ImageSpec, RasterFile, SampleType, Window, write_geotiff};
@@ -125,8 +125,8 @@ fn halves_whose_cameras_disagree_are_refused_with_a_number() {
     );
 }
 
-/// Writes a view in four uneven tiles, whose names `name` makes of row and column, and whole into another folder; the first tile has the
-/// camera of all, and the JSON is its.
+/// Writes a view in four uneven tiles, whose names `name` makes of row and column, and whole into another folder; the
+/// first tile has the camera of all, and the JSON is its.
 fn cut(view: &View, home: &Path, whole: &Path, name: &dyn Fn(usize, usize) -> String) {
     view.write(whole);
     let path = view.write(home);
@@ -257,7 +257,8 @@ fn indices_are_of_reflectance_where_all_images_have_gains() {
     let counts = Values::default().ndvi(&first.bands).expect("both bands");
     let value = |band: usize| first.pixels.at(band, 30, 30);
     let reflectance = first.ndvi().expect("both bands");
-    // All bands have equal counts: near infrared reflects more than twice what red does, for there is less of it in sunlight.
+    // All bands have equal counts: near infrared reflects more than twice what red does, for there is less of it in
+    // sunlight.
     assert_eq!(counts.of(value), 0.0);
     assert!((0.4..0.6).contains(&reflectance.of(value)), "{}", reflectance.of(value));
 
@@ -712,7 +713,8 @@ fn the_date_that_gdal_writes_into_every_nitf_is_no_time_and_no_sun_is_needed_for
     assert_eq!(codes, ["sun-below-horizon"]);
 }
 
-/// The same parallel camera with other scales: those of the ground `ground` times, those of the image `image` times as large.
+/// The same parallel camera with other scales: those of the ground `ground` times, those of the image `image` times as
+/// large.
 fn rescaled(rpc: &Rpc, ground: f64, image: f64) -> Rpc {
     let numerator = |values: &[f64; 20]| {
         std::array::from_fn(|term| values[term] / image * if (1..4).contains(&term) { ground } else { 1.0 })

@@ -1,11 +1,11 @@
 //! Whole small scenes with faults: the altitudes that are called known are to be as right as they are said to be.
 //!
-//! That is the aim; the ceilings below are what was measured, and are lowered with what causes it: borders of images of 24 to 32 m, houses
-//! that small bases level, cameras that contradict each other, water and shadows.
+//! That is the aim; the ceilings below are what was measured, and are lowered with what causes it: borders of images of
+//! 24 to 32 m, houses that small bases level, cameras that contradict each other, water and shadows.
 //!
-//! `HELIOSPLAT_SCENES=10000` tries so many scenes, `HELIOSPLAT_SCENES_FROM=77` begins with another one, `HELIOSPLAT_SCENES_FAULT=Water`
-//! tries one fault alone, and `HELIOSPLAT_SCENES_CELLS=1` lists the wrong cells. `HELIOSPLAT_TERRAINS_FROM=77` begins the terrains of each
-//! angle with another one.
+//! `HELIOSPLAT_SCENES=10000` tries so many scenes, `HELIOSPLAT_SCENES_FROM=77` begins with another one,
+//! `HELIOSPLAT_SCENES_FAULT=Water` tries one fault alone, and `HELIOSPLAT_SCENES_CELLS=1` lists the wrong cells.
+//! `HELIOSPLAT_TERRAINS_FROM=77` begins the terrains of each angle with another one.
 
 use heliosplat_tests::terrain::{Compared, Fault, SceneRequest, made_and_swept};
 use std::env;
@@ -15,8 +15,8 @@ use tempfile::tempdir;
 const SCENES: u64 = 40;
 /// Share of the known cells that may be wrong by more than four stated deviations.
 const WRONG: f64 = 0.02;
-/// Most scenes, of all, that are silently wrong: 5 of the first 40, 40 of 300 from seed 5000. Too few tie points are no warning of a fault, since
-/// most scenes of this size have too few.
+/// Most scenes, of all, that are silently wrong: 5 of the first 40, 40 of 300 from seed 5000. Too few tie points are no
+/// warning of a fault, since most scenes of this size have too few.
 const SILENT: f64 = 0.2;
 /// Fewer known cells are too few for a share.
 const FEWEST: usize = 100;

@@ -2,11 +2,10 @@
 //! Tiles. Memory is that of one block.
 
 use super::BatchError;
-use super::mosaic::{Places, grid_of};
+use super::mosaic::{Places, grid_of, nothing};
 use super::plan::JoinedWork;
 use super::products::{ALBEDO, SPLATS, SURFACE};
-use super::stamp::{self, Stamp};
-use super::unit::Done;
+use super::stamp::{self, Done, Stamp};
 use heliosplat::Raster;
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_pages::view::OVERVIEW;
@@ -51,15 +50,15 @@ impl Block {
 ///
 /// # Errors
 /// When a file of a block cannot be read, or one of the mosaic cannot be written.
-pub(super) fn join(work: &JoinedWork, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+pub(super) fn join(work: &JoinedWork, unit: &str, out: &Path, folder: &Path) -> Result<Done, BatchError> {
     let grid = grid_of(work.bounds, work.gsd_m, &work.crs)?;
     let places = Places::of(work.bounds, work.gsd_m);
     let mut blocks = Vec::new();
-    for (unit, [west, _, _, north]) in &work.blocks {
-        let folder = out.join(unit);
-        let stamp = stamp::read(&folder).ok_or_else(|| BatchError::Failed(format!("{unit}: its stamp is gone")))?;
+    for (id, [west, _, _, north]) in &work.blocks {
+        let folder = out.join(id);
+        let stamp = stamp::read(&folder).ok_or_else(|| BatchError::Failed(format!("{id}: its stamp is gone")))?;
         let block = Block {
-            name: unit.rsplit('/').next().unwrap_or(unit).to_owned(),
+            name: id.rsplit('/').next().unwrap_or(id).to_owned(),
             folder,
             at: places.cells([*west, *north]).map(|at| at.max(0) as usize),
             stamp,
@@ -69,7 +68,7 @@ pub(super) fn join(work: &JoinedWork, out: &Path, folder: &Path) -> Result<Done,
         }
     }
     if blocks.is_empty() {
-        return Ok((Vec::new(), json!({"empty": true})));
+        return Ok(nothing(unit));
     }
     let mut outputs = virtual_rasters(&grid, &blocks, folder)?;
     outputs.extend(overview(&grid, &blocks, work, &folder.join(OVERVIEW))?);

@@ -2,11 +2,13 @@
 
 use super::BatchError;
 use super::plan::{MosaicTile, MosaicWork};
+use super::stamp::Done;
 use heliosplat::Raster;
 use heliosplat_products::blend::{BANDS, Piece, blend};
 use heliosplat_products::dsm::{Dsm, file_of};
 use heliosplat_products::writer::Surroundings;
 use heliosplat_raster::{Crs, GeoTransform, GridSpec, RasterError, RasterFile, Window};
+use serde_json::json;
 use std::path::Path;
 
 /// Mosaic with its grid and tiles.
@@ -27,6 +29,12 @@ impl Mosaic {
         self.around
             .inner(&self.around.altitude, (self.grid.width, self.grid.height))
     }
+}
+
+/// Result of a unit of which no tile has a known height.
+pub(super) fn nothing(unit: &str) -> Done {
+    tracing::warn!("{unit}: none of its tiles has a surface");
+    (Vec::new(), json!({"empty": true}))
 }
 
 /// Map grid of bounds (west, south, east, north) with cells of `gsd_m`.

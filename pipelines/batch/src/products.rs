@@ -168,7 +168,7 @@ pub fn of_mosaic(
         let around = grid_of(work.around, work.gsd_m, &work.crs)?;
         let (nadir, frame) = NadirGrid::of_surface(around, &altitude.values)?;
         let shone = sunshine(&nadir, altitude, frame.origin, &period);
-        writer.sunshine(&shone.of(&|raster| mosaic.around.inner(raster, size)), &period)?;
+        writer.sunshine(&shone.cut(&|raster| mosaic.around.inner(raster, size)), &period)?;
     }
     let dates = dates(&images);
     for (date, sun) in &dates {

@@ -14,6 +14,9 @@ use std::time::Duration;
 /// Name of the stamp in a unit's folder.
 pub const STAMP: &str = "unit.json";
 
+/// Names of the products of a unit, and its metrics.
+pub(super) type Done = (Vec<String>, Value);
+
 /// Stamp of a finished unit, written after all its products.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Stamp {

@@ -3,7 +3,7 @@
 
 use super::BatchError;
 use super::plan::Unit;
-use super::stamp::{STAMP, Stamp, finished, is_of};
+use super::stamp::{Output, STAMP, Stamp, finished, is_of};
 use heliosplat_raster::RasterError;
 use heliosplat_raster::bounded::TEXT_MAX;
 use heliosplat_raster::virtual_files::{deliver, fetch, read_virtual};
@@ -15,15 +15,16 @@ fn place(unit: &Unit, name: &str) -> Option<PathBuf> {
     Some(PathBuf::from(format!("{to}/{}/{name}", unit.id)))
 }
 
-/// Copies the products of a finished unit to its store, its stamp last.
+/// Copies the products of a unit to its store, and last the stamp from its own `file`.
 ///
 /// # Errors
 /// When a file cannot be read or written.
-pub(super) fn keep(unit: &Unit, folder: &Path, stamp: &Stamp) -> Result<(), RasterError> {
-    let names = stamp.outputs.iter().map(|output| output.path.as_str());
-    for name in names.chain([STAMP]) {
+pub(super) fn keep(unit: &Unit, folder: &Path, stamp: &Stamp, file: &Path) -> Result<(), RasterError> {
+    let products = stamp.outputs.iter().map(|output| output.path.as_str());
+    let products = products.map(|name| (folder.join(name), name));
+    for (source, name) in products.chain([(file.to_owned(), STAMP)]) {
         if let Some(target) = place(unit, name) {
-            deliver(&folder.join(name), &target)?;
+            deliver(&source, &target)?;
         }
     }
     Ok(())
@@ -43,17 +44,17 @@ pub(super) fn taken(out: &Path, unit: &Unit) -> Result<Option<Stamp>, BatchError
         return Ok(None);
     };
     let folder = out.join(&unit.id);
-    for name in stamp.outputs.iter().map(|output| output.path.as_str()).chain([STAMP]) {
-        if let Some(source) = place(unit, name) {
-            fetch(&source, &folder.join(name))?;
+    let take = |name: &str| place(unit, name).map_or(Ok(()), |source| fetch(&source, &folder.join(name)));
+    for output in &stamp.outputs {
+        take(&output.path)?;
+        if Output::of(&folder, &output.path)? != *output {
+            return Err(BatchError::Failed(format!(
+                "{}/{}: it is not the file of its stamp; remove {STAMP} beside it and run the unit again",
+                unit.deliver.as_deref().unwrap_or_default(),
+                Path::new(&unit.id).join(&output.path).display()
+            )));
         }
     }
-    match finished(out, unit) {
-        Some(stamp) => Ok(Some(stamp)),
-        None => Err(BatchError::Failed(format!(
-            "{}: its products on {} are not those of its stamp; remove them there and run it again",
-            unit.id,
-            unit.deliver.as_deref().unwrap_or_default()
-        ))),
-    }
+    take(STAMP)?;
+    Ok(finished(out, unit))
 }

@@ -3,10 +3,10 @@
 use super::BatchError;
 use super::colours::Colours;
 use super::joined;
-use super::mosaic::mosaic;
+use super::mosaic::{mosaic, nothing};
 use super::plan::{AdjustWork, ColoursWork, MosaicWork, TileWork, Unit, Units, Work};
 use super::products::{self, COLOURS, RUN, colours_of};
-use super::stamp::{self, Output, STAMP, Stamp, claim};
+use super::stamp::{self, Done, Output, STAMP, Stamp, claim};
 use super::store;
 use heliosplat_evaluate::{EvaluateError, Protocol, error_map, evaluate_dsm, evaluate_raster};
 use heliosplat_fitting::checkpoint;
@@ -18,6 +18,7 @@ use heliosplat_pages::{report, view};
 use heliosplat_products::{dsm, model, seams};
 use heliosplat_raster::bounded::read_text;
 use heliosplat_raster::preview;
+use heliosplat_raster::temporary::TemporaryFolder;
 use heliosplat_raster::write_atomically;
 use heliosplat_satellite::config::{Align, SatelliteConfig};
 use heliosplat_satellite::run_file::CUT;
@@ -26,7 +27,7 @@ use heliosplat_satellite::training::train;
 use heliosplat_satellite::{measure, preprocess};
 use heliosplat_scene::{Cut, Index, IngestOptions, Scene, SceneError};
 use heliosplat_session::Session;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -74,7 +75,7 @@ pub fn do_unit(
         Work::Tile(work) => tile(work, unit, (out, &folder), checkpoint_every, session)?,
         Work::Colours(work) => colours(work, out, &folder)?,
         Work::Mosaic(work) | Work::Block(work) => mosaic_unit(work, unit, out, &folder)?,
-        Work::Joined(work) => joined::join(work, out, &folder)?,
+        Work::Joined(work) => joined::join(work, &unit.id, out, &folder)?,
         Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
     let seconds = metrics["seconds"]
@@ -93,12 +94,14 @@ pub fn do_unit(
         stamp.outputs.push(Output::of(&folder, &output)?);
     }
     let text = serde_json::to_string_pretty(&stamp).unwrap_or_default();
-    write_atomically(&folder.join(STAMP), text.as_bytes())?;
-    if let Err(error) = store::keep(unit, &folder, &stamp) {
+    if unit.deliver.is_some() {
         // A unit counts as finished when its products are on the store.
-        let _ = std::fs::remove_file(folder.join(STAMP));
-        return Err(error.into());
+        let temporary = TemporaryFolder::inside(&folder)?;
+        let file = temporary.path().join(STAMP);
+        write_atomically(&file, text.as_bytes())?;
+        store::keep(unit, &folder, &stamp, &file)?;
     }
+    write_atomically(&folder.join(STAMP), text.as_bytes())?;
     Ok((stamp, false))
 }
 
@@ -117,9 +120,6 @@ fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
     }
     Ok(())
 }
-
-/// Names of the products, and metrics.
-pub(super) type Done = (Vec<String>, Value);
 
 fn tile(
     work: &TileWork,
@@ -278,12 +278,12 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
     work.tiles.retain(|tile| out.join(&tile.unit).join("dsm.tif").is_file());
     let work = &work;
     if work.tiles.is_empty() {
-        return Ok((Vec::new(), json!({"empty": true})));
+        return Ok(nothing(&unit.id));
     }
     let mut mosaic = mosaic(out, work)?;
     let is_block = matches!(unit.work, Work::Block(_));
     if is_block && mosaic.dsm.completeness() == 0.0 {
-        return Ok((Vec::new(), json!({"empty": true})));
+        return Ok(nothing(&unit.id));
     }
     let pieces = &mosaic.parts.pieces;
     let path = folder.join("dsm.tif");

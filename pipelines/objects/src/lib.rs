@@ -1,9 +1,9 @@
 //! Captures of objects: images from around an object with cameras in `transforms_*.json` (the format of NeRF and of
 //! nerfstudio), in a model of COLMAP or in a table.
 //!
-//! `transforms`, `colmap` and `camera_table` read cameras, `pixels` images, `points` clouds, and `capture` combines them. `plan` selects a model by the
-//! short fits of `trial`; `start`, `views` and `fit` train it, `run` stores it, `measure` scores it, and `training` is
-//! the whole pipeline.
+//! `transforms`, `colmap` and `camera_table` read cameras, `pixels` images, `points` clouds, and `capture` combines
+//! them. `plan` selects a model by the short fits of `trial`; `start`, `views` and `fit` train it, `run` stores it,
+//! `measure` scores it, and `training` is the whole pipeline.
 
 pub mod camera_table;
 pub mod capture;

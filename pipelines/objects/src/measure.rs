@@ -199,8 +199,8 @@ fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<
     (angles > 0).then(|| json!({"mean_deg": angle / angles as f64, "parts": parts}))
 }
 
-/// Content of `metrics.json`: scores on some training images and on all held-out ones. Held-out images and their renderings are written
-/// into the folder `pictures`, if given.
+/// Content of `metrics.json`: scores on some training images and on all held-out ones. Held-out images and their
+/// renderings are written into the folder `pictures`, if given.
 ///
 /// # Errors
 /// When a picture cannot be written.

@@ -106,8 +106,8 @@ impl Preparation {
     }
 }
 
-/// The part of a frame that shows the object as a view for training: under a light of strength one, where lights are modelled. `None` when its camera
-/// looks away from the capture's centre.
+/// The part of a frame that shows the object as a view for training: under a light of strength one, where lights are
+/// modelled. `None` when its camera looks away from the capture's centre.
 pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance: usize) -> Option<View> {
     let mut image = preparation.image(&frame.picture);
     let behind = preparation.background;

@@ -40,9 +40,9 @@ pub struct Sunshine {
 }
 
 impl Sunshine {
-    /// The same of a part of the grid, which `part` cuts out of each raster.
+    /// Sunshine of a part of the grid; `part` cuts it out of each raster.
     #[must_use]
-    pub fn of(&self, part: &dyn Fn(&Raster) -> Raster) -> Self {
+    pub fn cut(&self, part: &dyn Fn(&Raster) -> Raster) -> Self {
         Self {
             sun_hours: part(&self.sun_hours),
             sky_view: part(&self.sky_view),

@@ -32,8 +32,8 @@ use nalgebra::Vector3;
 const TILES: [usize; 2] = [900, 2000];
 /// Correlation at or below which a sighting has no weight.
 const WORTHLESS_SCORE: f32 = 0.7;
-/// Residual of tie points above which cameras contradict each other, pixels. A match is right to a fifth of a pixel: sound
-/// real scenes have 0.06 to 0.24 px, four images of which two have swapped cameras 0.74 px.
+/// Residual of tie points above which cameras contradict each other, pixels. A match is right to a fifth of a pixel:
+/// sound real scenes have 0.06 to 0.24 px, four images of which two have swapped cameras 0.74 px.
 const CONTRADICTORY_PX: f64 = 0.5;
 
 /// The common ground of a scene in all of its images. Held-out images are included: their cameras have errors too.

@@ -2,10 +2,10 @@
 //!
 //! One image alone does not determine an altitude, so a cell visible in fewer than [`FEWEST_VIEWS`] is unknown, even
 //! where an altitude was matched. Views without parallax between them, such as an image and its copy, count as one.
-//! Beside the data of images, views overlap at some altitudes only, and the sweep finds one of those regardless of the
-//! ground. So a view counts only where it would also show the place at the altitude of the ground around. Pits of
-//! such mismatches do not count as ground. The caller marks the cells that occlude others, so that towers of mismatches
-//! hide nothing.
+//! Beyond the edge of an image's data, views overlap at some altitudes only, and the sweep finds one of those
+//! regardless of the ground. So a view counts only where it would also show the place at the altitude of the ground
+//! around. Pits of such mismatches do not count as ground. The caller marks the cells that occlude others, so that
+//! towers of mismatches hide nothing.
 
 use super::views::parallax;
 use super::visibility::{FirstHits, Standing};

@@ -16,7 +16,8 @@ use std::path::PathBuf;
 /// Scene to inspect.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or a capture with transforms.json, a COLMAP model or cameras.csv
+    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or a capture with
+    /// transforms.json, a COLMAP model or cameras.csv
     #[arg(value_name = "SCENE", required = true)]
     scene: Vec<PathBuf>,
     #[command(flatten)]

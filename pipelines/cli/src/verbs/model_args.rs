@@ -16,7 +16,8 @@ use std::time::{Duration, Instant};
 /// `train`.
 #[derive(Debug, Clone, Args)]
 pub struct TrainArgs {
-    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or a capture with transforms.json, a COLMAP model or cameras.csv
+    /// A folder of images, several image files, a scene.toml, a folder of Sat-NeRF or EOGS, or a capture with
+    /// transforms.json, a COLMAP model or cameras.csv
     #[arg(value_name = "SCENE", required = true)]
     pub scenes: Vec<PathBuf>,
     /// Path of the scene that `scenes` form.
@@ -92,10 +93,12 @@ pub struct DsmArgs {
     /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's data files
     #[arg(long, value_enum, value_name = "NAME")]
     pub geoid: Option<GeoidName>,
-    /// Close holes with the lower of the altitudes around them; filled cells have coverage 0, views 0 and no standard deviation
+    /// Close holes with the lower of the altitudes around them; filled cells have coverage 0, views 0 and no standard
+    /// deviation
     #[arg(long)]
     pub fill: bool,
-    /// With --from sweep: memory limit, such as 4GiB; larger scenes are swept in tiles [default: half of the machine's memory]
+    /// With --from sweep: memory limit, such as 4GiB; larger scenes are swept in tiles [default: half of the machine's
+    /// memory]
     #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
     pub memory: Option<u64>,
     /// Scene options

@@ -75,7 +75,8 @@ pub struct SynthArgs {
     /// Packaging of the images of a satellite scene
     #[arg(long, value_enum, default_value = "whole")]
     delivery: Delivery,
-    /// Also render a satellite scene from straight above under N suns of no image, 10 to 70 degrees high, as truth for `evaluate`
+    /// Also render a satellite scene from straight above under N suns of no image, 10 to 70 degrees high, as truth for
+    /// `evaluate`
     #[arg(long, default_value_t = 0, value_name = "N")]
     relight: usize,
     /// Share of the buildings of a satellite scene that are built or torn down between two dates, as truth for `evaluate`

@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 /// Prefix of the shadow masks of dates: `shadow_DATE.tif`.
 const SHADOWS: &str = "shadow_";
 
-/// Gathers the content of the page of a mosaic; of one that consists of blocks, from its overview. The light is that of `run`, the run of a tile; without it, that of the
-/// first tile's run, found beside the folder.
+/// Gathers the content of the page of a mosaic; of one that consists of blocks, from its overview. The light is that of
+/// `run`, the run of a tile; without it, that of the first tile's run, found beside the folder.
 ///
 /// # Errors
 /// When a file of the folder cannot be read.
