@@ -58,3 +58,60 @@ pub(super) fn taken(out: &Path, unit: &Unit) -> Result<Option<Stamp>, BatchError
     take(STAMP)?;
     Ok(finished(out, unit))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Work;
+    use serde_json::Value;
+
+    #[test]
+    fn a_unit_comes_from_its_store_whole_or_not_at_all() {
+        let [here, there] = [(); 2].map(|()| tempfile::tempdir().expect("a temporary folder"));
+        let unit = Unit {
+            id: "a/b/c/tile-r0c0".into(),
+            work: Work::Refused { reason: String::new() },
+            after: Vec::new(),
+            mem_mb: 1,
+            runtime_s: 1,
+            key: "k".into(),
+            deliver: Some("/vsimem/store_test".into()),
+        };
+        assert!(
+            taken(there.path(), &unit).expect("readable").is_none(),
+            "nothing is stored"
+        );
+        let folder = here.path().join(&unit.id);
+        std::fs::create_dir_all(&folder).expect("made");
+        std::fs::write(folder.join("dsm.tif"), b"product").expect("written");
+        let stamp = Stamp {
+            unit: unit.id.clone(),
+            key: unit.key.clone(),
+            build: "b".into(),
+            outputs: vec![Output::of(&folder, "dsm.tif").expect("readable")],
+            seconds: 1.0,
+            peak_rss_bytes: 1,
+            metrics: Value::Null,
+        };
+        let file = here.path().join("stamp.json");
+        std::fs::write(&file, serde_json::to_string(&stamp).expect("JSON")).expect("written");
+        keep(&unit, &folder, &stamp, &file).expect("stored");
+        let other = Unit {
+            key: "other".into(),
+            ..unit.clone()
+        };
+        assert!(taken(there.path(), &other).expect("readable").is_none(), "other inputs");
+        assert_eq!(taken(there.path(), &unit).expect("readable"), Some(stamp));
+        assert_eq!(
+            std::fs::read(there.path().join(&unit.id).join("dsm.tif")).expect("a copy"),
+            b"product"
+        );
+        // Other content of the same size on the store.
+        std::fs::write(&file, b"changed").expect("written");
+        deliver(&file, &place(&unit, "dsm.tif").expect("a store")).expect("stored");
+        let elsewhere = tempfile::tempdir().expect("a temporary folder");
+        let refused = taken(elsewhere.path(), &unit).expect_err("not the product").to_string();
+        assert!(refused.contains("not the file of its stamp"), "{refused}");
+        assert!(finished(elsewhere.path(), &unit).is_none());
+    }
+}
