@@ -6,6 +6,7 @@ use super::blocks::{common, overlap};
 use super::layers::Layer;
 use super::mosaic::{Parts, Places};
 use super::plan::MosaicTile;
+use heliosplat_products::export::Reference;
 use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::{RasterError, write_atomically};
 use rayon::prelude::*;
@@ -19,16 +20,13 @@ const MOST_STEPS_PER_TILE: usize = 4;
 /// Largest size of a file of gains, bytes.
 const FILE_MAX: u64 = 1 << 30;
 
-/// Most tiles that set the display of the colours of all blocks.
-const REFERENCES_MOST: usize = 16;
-
 /// Colours that all blocks of an area share.
 #[derive(Debug, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct Colours {
     /// Gains by raster, tile and band.
     gains: BTreeMap<String, BTreeMap<String, Vec<f64>>>,
-    /// Tiles spread over the area that set the sun and the display of its colours.
-    pub(super) references: Vec<String>,
+    /// Look of the 3D Tiles of all blocks, if they are written.
+    pub(super) reference: Option<Reference>,
 }
 
 /// Ratio of a band in the overlap of two tiles: their indices, logarithm of first over second, number of cells.
@@ -45,11 +43,7 @@ impl Colours {
             .filter(|tile| out.join(&tile.unit).join("dsm.tif").is_file())
             .collect();
         let overlaps = overlaps(&tiles);
-        let step = tiles.len().div_ceil(REFERENCES_MOST).max(1);
-        let mut found = Self {
-            references: tiles.iter().step_by(step).map(|tile| tile.unit.clone()).collect(),
-            ..Self::default()
-        };
+        let mut found = Self::default();
         for &name in names {
             let ratios = overlaps
                 .par_iter()

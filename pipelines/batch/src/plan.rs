@@ -144,8 +144,8 @@ pub struct ColoursWork {
     pub tiles: Vec<MosaicTile>,
     /// Width of a cell, metres.
     pub gsd_m: f64,
-    /// True if the tiles have relit images, whose gains are found too.
-    pub relit: bool,
+    /// Products of the tiles and blocks.
+    pub products: ProductOptions,
 }
 
 /// Work that joins the blocks of a mosaic.
@@ -178,7 +178,7 @@ pub struct MosaicWork {
     pub gsd_m: f64,
     /// West, south, east, north of the mosaic, in units of `crs`.
     pub bounds: [f64; 4],
-    /// West, south, east, north of the mosaic with the ground around it, which its shadows come from.
+    /// West, south, east, north of the mosaic with the ground around it, whose shadows fall into it.
     pub around: [f64; 4],
     /// True surface model of the scene, if it has one.
     pub truth: Option<PathBuf>,

@@ -12,7 +12,7 @@ use heliosplat_pages::view;
 use heliosplat_products::blend::Piece;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::Dsm;
-use heliosplat_products::export::{self, MosaicTile, Reference, Subject, TILESET};
+use heliosplat_products::export::{self, ExportError, Look, MosaicTile, Reference, Subject, TILESET};
 use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::points;
@@ -21,7 +21,6 @@ use heliosplat_products::sunshine::sunshine;
 use heliosplat_products::writer::{ItemMetadata, Writer};
 use heliosplat_raster::{RasterFile, preview};
 use heliosplat_rpc::sun::SunPosition;
-use heliosplat_scene::BandKind;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -40,6 +39,8 @@ pub const PICTURES: &str = "pictures";
 /// Folders of the 3D Tiles of a mosaic: splats, and the textured surface.
 pub(super) const SPLATS: &str = "splats";
 pub(super) const SURFACE: &str = "surface";
+/// Most tiles from which the look of all blocks is found.
+const REFERENCES_MOST: usize = 16;
 /// Values of each band of a tile from which the display of all blocks is found.
 const REFERENCE_CELLS: usize = 100_000;
 /// Largest side of a picture, pixels.
@@ -186,22 +187,19 @@ pub fn of_mosaic(
     writer.points(POINTS, count);
     let globe = match work.products.globe {
         true => {
-            let reference = match work.colours {
-                Some(_) => reference(out, &colours, bands)?,
-                None => Reference::default(),
-            };
-            let sun = work.products.sun.map(sun_of);
-            globe(mosaic, albedo, (&models.runs, &gains), (reference, sun), folder)?
+            let look = (colours.reference, work.products.sun.map(sun_of));
+            globe(mosaic, albedo, (&models.runs, &gains), look, folder)?
         }
         false => Vec::new(),
     };
-    if !globe.is_empty() {
-        writer.tiles("splats", &format!("{SPLATS}/{TILESET}"), "Splats for globes, 3D Tiles");
-        writer.tiles(
-            "surface",
-            &format!("{SURFACE}/{TILESET}"),
-            "Textured surface for globes, 3D Tiles",
-        );
+    for (key, title) in [
+        (SPLATS, "Splats for globes, 3D Tiles"),
+        (SURFACE, "Textured surface for globes, 3D Tiles"),
+    ] {
+        let file = format!("{key}/{TILESET}");
+        if globe.contains(&file) {
+            writer.tiles(key, &file, title);
+        }
     }
     let light = models.runs.first().map(PathBuf::as_path);
     if view::into_folder(folder, view::of_mosaic(folder, light))?.is_some() {
@@ -225,31 +223,47 @@ pub fn of_mosaic(
     Ok((outputs, said))
 }
 
-/// Reference of the colours of all blocks, from tiles spread over the area.
-fn reference(out: &Path, colours: &Colours, bands: &[BandKind]) -> Result<Reference, BatchError> {
-    let units = || colours.references.iter().map(String::as_str);
-    let mut tiles = Vec::new();
-    let mut albedos = Raster::filled(0, 1, bands.len(), f32::NAN);
+/// Look of the 3D Tiles of all blocks, from tiles spread over the area; `None` where no tile has a surface.
+///
+/// # Errors
+/// When a tile cannot be read, or the sun cannot be used.
+pub(super) fn reference(
+    out: &Path,
+    tiles: &[plan::MosaicTile],
+    colours: &Colours,
+    sun: Option<[f64; 2]>,
+) -> Result<Option<Reference>, BatchError> {
+    let units = tiles.iter().map(|tile| tile.unit.as_str());
+    let units: Vec<&str> = units.filter(|unit| out.join(unit).join(ALBEDO).is_file()).collect();
+    let step = units.len().div_ceil(REFERENCES_MOST).max(1);
+    let units: Vec<&str> = units.into_iter().step_by(step).collect();
+    let Some(first) = units.first() else { return Ok(None) };
+    let bands = model::load_file(&out.join(first).join(RUN))?.bands;
     let mut planes = vec![Vec::new(); bands.len()];
-    for (unit, gains) in units().zip(colours.of(ALBEDO, units())) {
+    let mut references = Vec::with_capacity(units.len());
+    for (unit, gains) in units.iter().zip(colours.of(ALBEDO, units.iter().copied())) {
         let albedo = RasterFile::open(&out.join(unit).join(ALBEDO))?.read_all()?;
         let step = albedo.plane_len().div_ceil(REFERENCE_CELLS).max(1);
         for (band, plane) in planes.iter_mut().enumerate().take(albedo.bands) {
             let gain = gains.get(band).map_or(1.0, |gain| *gain as f32);
             plane.extend(albedo.plane(band).iter().step_by(step).map(|value| value * gain));
         }
-        tiles.push(MosaicTile {
+        references.push(MosaicTile {
             run: out.join(unit).join(RUN),
             core: [[0; 2]; 2],
             gains,
         });
     }
-    albedos.width = planes.first().map_or(0, Vec::len);
-    albedos.values = planes.concat();
-    Ok(Reference {
-        white: Some(export::white_of(&albedos, bands)),
-        tiles,
-    })
+    let albedo = Raster {
+        width: planes.first().map_or(0, Vec::len),
+        height: 1,
+        bands: bands.len(),
+        values: planes.concat(),
+    };
+    Ok(Some(Reference {
+        look: Look::of(&references, sun.map(sun_of).as_ref())?,
+        white: export::white_of(&albedo, &bands),
+    }))
 }
 
 /// Writes the 3D Tiles of a mosaic, and returns the names of their files in `folder`.
@@ -257,7 +271,7 @@ fn globe(
     mosaic: &Mosaic,
     albedo: Raster,
     (runs, gains): (&[PathBuf], &[Vec<f64>]),
-    (reference, sun): (Reference, Option<SunPosition>),
+    (reference, sun): (Option<Reference>, Option<SunPosition>),
     folder: &Path,
 ) -> Result<Vec<String>, BatchError> {
     let tile = |((piece, run), gains): ((&Piece, &PathBuf), &Vec<f64>)| MosaicTile {
@@ -283,7 +297,11 @@ fn globe(
             sun,
             ..export::Request::default()
         };
-        export::write(Subject::Mosaic(&exported), &request)?;
+        match export::write(Subject::Mosaic(&exported), &request) {
+            // A block at the rim of an area may hold a few cells alone.
+            Err(ExportError::NoSurface(_)) if reference.is_some() => (),
+            written => drop(written?),
+        }
     }
     let mut names = Vec::new();
     for name in [SPLATS, SURFACE] {

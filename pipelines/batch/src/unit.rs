@@ -225,9 +225,13 @@ fn adjust(work: &AdjustWork, folder: &Path, session: &Session) -> Result<Done, B
     Ok((vec![CAMERAS.into()], metrics))
 }
 
-/// Finds the gains of the colours of all tiles of an area.
+/// Finds the gains of the colours of all tiles of an area, and the look of its 3D Tiles.
 fn colours(work: &ColoursWork, out: &Path, folder: &Path) -> Result<Done, BatchError> {
-    let found = Colours::find(out, &work.tiles, work.gsd_m, colours_of(work.relit))?;
+    let sun = work.products.sun;
+    let mut found = Colours::find(out, &work.tiles, work.gsd_m, colours_of(sun.is_some()))?;
+    if work.products.globe {
+        found.reference = products::reference(out, &work.tiles, &found, sun)?;
+    }
     found.write(&folder.join(COLOURS))?;
     Ok((vec![COLOURS.into()], json!({"tiles": work.tiles.len()})))
 }

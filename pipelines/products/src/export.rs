@@ -12,7 +12,7 @@ mod textured;
 mod tile;
 
 pub use joined::join_tilesets;
-pub use lit::{Display, Lit};
+pub use lit::{Display, Lit, Look};
 pub use mosaic::{Mosaic, Reference};
 pub use textured::white_of;
 pub use tile::MosaicTile;

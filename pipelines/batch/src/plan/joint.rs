@@ -89,7 +89,7 @@ impl Combination<'_> {
             let work = Work::Colours(ColoursWork {
                 tiles: tiles.clone(),
                 gsd_m,
-                relit: self.products.sun.is_some(),
+                products: self.products.clone(),
             });
             let seconds = LEAST_S + JOINED_S_PER_CELL * cells(tiling.bounds);
             self.unit(format!("{home}/colours"), &all, (LEAST_BYTES, seconds), work)
@@ -116,7 +116,8 @@ impl Combination<'_> {
             bounds: tiling.bounds,
             geoid: self.products.geoid,
         });
-        let after: Vec<&Unit> = merged.iter().collect();
+        // The light of the page is that of the first tile.
+        let after: Vec<&Unit> = units.iter().take(1).chain(&merged).collect();
         let joined = self.unit(format!("{home}/mosaic"), &after, (bytes, seconds), work);
         colours.into_iter().chain(merged).chain([joined]).collect()
     }

@@ -23,6 +23,7 @@ use heliosplat_raster::preview::percentiles;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 /// Least opacity of an exported splat: a step of a byte.
@@ -36,7 +37,7 @@ const WHITE: f64 = 0.995;
 const DISPLAY_VALUES: usize = 4_000_000;
 
 /// Display stretch: linear from black to white, then the sRGB curve.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Display {
     /// Indices of the bands shown as red, green and blue; the first one thrice where there is no colour.
     pub bands: [usize; 3],
@@ -80,6 +81,48 @@ pub(super) fn shown(kinds: &[BandKind]) -> [usize; 3] {
     }
 }
 
+/// Light and display of the splats of several tiles.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Look {
+    /// Sun of the splats; `None` for models without light.
+    sun: Option<SunPosition>,
+    /// Display stretch of the splats' colours.
+    display: Display,
+    counts_per_unit: f64,
+}
+
+impl Look {
+    /// Look of `tiles` under `sun`, or under the sun of the first tile's reference image. The display stretch is the
+    /// same for all suns: that of the reference image's sun, seen from above. Tiles are loaded one after the other.
+    ///
+    /// # Errors
+    /// Errors of [`Lit::new`], and when a tile cannot be read.
+    pub fn of(tiles: &[MosaicTile], sun: Option<&SunPosition>) -> Result<Self, RelightError> {
+        let mut own = None;
+        let mut said = ([0; 3], 1.0);
+        let mut values = Vec::new();
+        for (place, tile) in tiles.iter().enumerate() {
+            let model = load(&tile.run)?;
+            if place == 0 {
+                own = own_sun(&model.file);
+                said = (shown(&model.file.bands), model.file.counts_per_unit);
+            }
+            let light = own.map(|sun| Ok::<_, RelightError>((sun, light_of(&model, &sun)?)));
+            let mut image = from_above(&model, light.transpose()?)?;
+            tile.balance(&mut image);
+            let step = (image.plane_len() * tiles.len() / DISPLAY_VALUES).max(1);
+            for band in said.0.into_iter().filter(|&band| band < image.bands) {
+                values.extend(image.plane(band).iter().step_by(step));
+            }
+        }
+        Ok(Self {
+            sun: sun.copied().or(own),
+            display: Display::of_values(said.0, &values, (BLACK, WHITE)),
+            counts_per_unit: said.1,
+        })
+    }
+}
+
 /// Splats of a run or a mosaic under a sun.
 pub struct Lit {
     /// Splats in the local frame.
@@ -112,36 +155,17 @@ impl Lit {
         })
     }
 
-    /// Splats of all tiles of a mosaic in the frame of `nadir`, those of each tile within its core and with its gains,
-    /// under `sun` or the sun of the reference image of the first of `references`. The display stretch is that of the
-    /// tiles `references`. Tiles are loaded one after the other.
+    /// Splats of all tiles of a mosaic in the frame of `nadir`, those of each tile within its core and with its gains.
+    /// Tiles are loaded one after the other.
     ///
     /// # Errors
     /// Errors of [`Lit::new`], and when a tile cannot be read.
     pub(super) fn of_tiles(
-        (tiles, references): (&[MosaicTile], &[MosaicTile]),
+        tiles: &[MosaicTile],
         (nadir, frame): (&NadirGrid, &LocalFrame),
-        sun: Option<&SunPosition>,
+        look: &Look,
     ) -> Result<Self, RelightError> {
-        let mut own = None;
-        let mut said = ([0; 3], 1.0);
-        let mut values = Vec::new();
-        for (place, tile) in references.iter().enumerate() {
-            let model = load(&tile.run)?;
-            if place == 0 {
-                own = own_sun(&model.file);
-                said = (shown(&model.file.bands), model.file.counts_per_unit);
-            }
-            let light = own.map(|sun| Ok::<_, RelightError>((sun, light_of(&model, &sun)?)));
-            let mut image = from_above(&model, light.transpose()?)?;
-            tile.balance(&mut image);
-            let step = (image.plane_len() * references.len() / DISPLAY_VALUES).max(1);
-            for band in said.0.into_iter().filter(|&band| band < image.bands) {
-                values.extend(image.plane(band).iter().step_by(step));
-            }
-        }
-        let display = Display::of_values(said.0, &values, (BLACK, WHITE));
-        let sun = sun.copied().or(own);
+        let Look { sun, display, .. } = *look;
         let mut all = Vec::new();
         for tile in tiles {
             let model = load(&tile.run)?;
@@ -158,7 +182,7 @@ impl Lit {
             splats: all,
             display,
             sun,
-            counts_per_unit: said.1,
+            counts_per_unit: look.counts_per_unit,
         })
     }
 

@@ -4,7 +4,7 @@
 //! are known up to a gain for each band; they get the gains with which the mosaic's albedo was merged.
 
 use super::ExportError;
-use super::lit::Lit;
+use super::lit::{Lit, Look};
 use super::textured::{TexturedGround, white_of};
 use super::tile::MosaicTile;
 use crate::dsm::Dsm;
@@ -15,13 +15,13 @@ use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::sun::SunPosition;
 use std::path::{Path, PathBuf};
 
-/// Reference of the colours of a mosaic's files, which the blocks of one area share.
-#[derive(Default)]
+/// Look of a mosaic's files, which the blocks of one area share.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Reference {
-    /// Tiles that set the sun and the display stretch of splats; without any, all tiles of the mosaic.
-    pub tiles: Vec<MosaicTile>,
-    /// Albedo that the textured surface shows white; `None`: by that of the mosaic.
-    pub white: Option<f32>,
+    /// Light and display of the splats.
+    pub look: Look,
+    /// Albedo that the textured surface shows white.
+    pub white: f32,
 }
 
 /// A mosaic: its merged surface and the runs of its tiles.
@@ -30,13 +30,14 @@ pub struct Mosaic {
     dsm: Dsm,
     albedo: Raster,
     tiles: Vec<MosaicTile>,
-    reference: Reference,
+    reference: Option<Reference>,
     nadir: NadirGrid,
     frame: LocalFrame,
 }
 
 impl Mosaic {
-    /// Mosaic in `folder`: its surface, with altitudes above the ellipsoid, its albedo on the same grid, and its tiles.
+    /// Mosaic in `folder`: its surface, with altitudes above the ellipsoid, its albedo on the same grid, its tiles, and
+    /// the look of its files, `None` for its own.
     ///
     /// # Errors
     /// When there is no tile, or the grid lies outside its coordinate system.
@@ -45,7 +46,7 @@ impl Mosaic {
         dsm: Dsm,
         albedo: Raster,
         tiles: Vec<MosaicTile>,
-        reference: Reference,
+        reference: Option<Reference>,
     ) -> Result<Self, ExportError> {
         if tiles.is_empty() {
             return Err(ExportError::NoSurface(folder.to_owned()));
@@ -77,15 +78,11 @@ impl Mosaic {
     /// # Errors
     /// When a tile cannot be read, or the sun cannot be used.
     pub(super) fn lit(&self, sun: Option<&SunPosition>) -> Result<Lit, ExportError> {
-        let references = match self.reference.tiles.is_empty() {
-            true => &self.tiles,
-            false => &self.reference.tiles,
+        let look = match &self.reference {
+            Some(reference) => reference.look,
+            None => Look::of(&self.tiles, sun)?,
         };
-        Ok(Lit::of_tiles(
-            (&self.tiles, references),
-            (&self.nadir, &self.frame),
-            sun,
-        )?)
+        Ok(Lit::of_tiles(&self.tiles, (&self.nadir, &self.frame), &look)?)
     }
 
     /// Textured surface of the mosaic.
@@ -94,7 +91,8 @@ impl Mosaic {
     /// When the first tile, which names the bands, cannot be read.
     pub(super) fn ground(&self) -> Result<TexturedGround, ExportError> {
         let bands = load_file(&self.tiles[0].run)?.bands;
-        let white = self.reference.white.unwrap_or_else(|| white_of(&self.albedo, &bands));
+        let own = || white_of(&self.albedo, &bands);
+        let white = self.reference.map_or_else(own, |reference| reference.white);
         Ok(TexturedGround::new(
             (&self.dsm, &self.albedo),
             (&bands, white),

@@ -4,7 +4,7 @@ use crate::outcome::CliError;
 use heliosplat_batch::products::RUN;
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_products::dsm::Dsm;
-use heliosplat_products::export::{Mosaic, MosaicTile, Reference};
+use heliosplat_products::export::{Mosaic, MosaicTile};
 use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, bounded};
 use serde::Deserialize;
 use std::path::Path;
@@ -87,5 +87,5 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
             gains: gains.next().unwrap_or_default(),
         });
     }
-    Ok(Mosaic::new(folder, dsm, albedo, tiles, Reference::default())?)
+    Ok(Mosaic::new(folder, dsm, albedo, tiles, None)?)
 }
