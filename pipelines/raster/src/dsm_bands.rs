@@ -19,11 +19,15 @@ pub const COMPANIONS: [(&str, &str); 3] = [(STANDARD_DEVIATION, "stddev"), (COVE
 
 /// The file beside `path` whose name ends in `suffix`: `dsm_views.tif` beside `dsm.tif`.
 pub fn companion(path: &Path, suffix: &str) -> PathBuf {
+    // Joined by hand: `with_extension` would cut `dsm_0.5m_views` at its dot.
     let mut name = path.file_stem().unwrap_or_default().to_owned();
     name.push("_");
     name.push(suffix);
+    if let Some(extension) = path.extension() {
+        name.push(".");
+        name.push(extension);
+    }
     path.with_file_name(name)
-        .with_extension(path.extension().unwrap_or_default())
 }
 
 impl GeoRaster {
@@ -61,5 +65,19 @@ impl GeoRaster {
             surface.band_names.push(band.to_owned());
         }
         Ok(surface)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn companions_of_names_with_dots_keep_the_whole_name() {
+        let of = |path: &str| companion(Path::new(path), "views");
+        assert_eq!(of("out/dsm.tif"), Path::new("out/dsm_views.tif"));
+        assert_eq!(of("out/dsm_0.5m.tif"), Path::new("out/dsm_0.5m_views.tif"));
+        assert_eq!(of("v1.2/site.2024-05.tiff"), Path::new("v1.2/site.2024-05_views.tiff"));
+        assert_eq!(of("dsm"), Path::new("dsm_views"));
     }
 }

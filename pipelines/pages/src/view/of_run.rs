@@ -58,9 +58,17 @@ pub fn of_run(folder: &Path) -> Result<Exhibit, ViewError> {
 fn title(folder: &Path) -> String {
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     let scene = load_run(folder).map(|run| run.scene).unwrap_or(whole);
-    let names: Vec<_> = scene.ancestors().filter_map(Path::file_stem).take(2).collect();
+    let name = |path: &'_ Path| {
+        if path.is_dir() {
+            path.file_name()
+        } else {
+            path.file_stem()
+        }
+        .map(ToOwned::to_owned)
+    };
+    let names: Vec<_> = scene.ancestors().filter_map(name).take(2).collect();
     // `scene` is a generic name; the folder around it is specific.
-    let name = names.iter().find(|name| **name != "scene").or(names.first());
+    let name = names.iter().find(|name| *name != "scene").or(names.first());
     name.map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
