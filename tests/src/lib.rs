@@ -11,6 +11,7 @@ pub mod program;
 pub mod readers;
 pub mod reference;
 pub mod results;
+pub mod scene_fuzz;
 pub mod scenes;
 pub mod shared;
 pub mod terrain;
