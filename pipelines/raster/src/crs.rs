@@ -1,14 +1,13 @@
-//! Coordinate reference systems: choice for a scene, and transformations by PROJ.
+//! Coordinate reference systems: choice for a scene, and transformations by PROJ through GDAL.
 
 use super::{RasterError, messages};
-use gdal::spatial_ref::SpatialRef;
+use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform, SpatialRef};
 use heliosplat_rpc::GeoPoint;
-use proj::Proj;
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::rc::Rc;
 
-/// A coordinate reference system that PROJ and GDAL both support.
+/// A coordinate reference system that GDAL and its PROJ support.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Crs {
     definition: String,
@@ -225,14 +224,22 @@ thread_local! {
     /// Systems parsed by this thread, by definition.
     static READ: RefCell<HashMap<String, Crs>> = RefCell::default();
     /// Transformations made by this thread, by source and target; a process needs few.
-    static MADE: RefCell<HashMap<[String; 2], Rc<Proj>>> = RefCell::default();
+    static MADE: RefCell<HashMap<[String; 2], Rc<CoordTransform>>> = RefCell::default();
+}
+
+/// GDAL's object for a definition that was accepted before, with x to the east.
+fn reference(definition: &str) -> gdal::errors::Result<SpatialRef> {
+    let mut reference =
+        parser(definition).map_or_else(|| SpatialRef::from_wkt(definition), |parse| parse(definition))?;
+    reference.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
+    Ok(reference)
 }
 
 /// A transformation between two coordinate systems; x is east (or longitude), y north (or latitude), always.
 ///
-/// PROJ objects are neither `Send` nor `Sync` and cost milliseconds to make: each thread keeps those it made.
+/// Transformations belong to one thread and cost milliseconds to make: each thread keeps those it made.
 pub struct CrsTransform {
-    proj: Rc<Proj>,
+    transform: Rc<CoordTransform>,
     target: String,
 }
 
@@ -264,20 +271,23 @@ impl CrsTransform {
     fn between(source: &str, target: &str, name: &str) -> Result<Self, RasterError> {
         let key = [source, target].map(str::to_owned);
         let known = MADE.with_borrow(|made| made.get(&key).cloned());
-        let proj = match known {
-            Some(proj) => proj,
+        let transform = match known {
+            Some(transform) => transform,
             None => {
-                let proj = Proj::new_known_crs(source, target, None).map_err(|error| RasterError::UnknownCrs {
+                let made = messages::collect(|| {
+                    let [source, target] = [source, target].map(reference);
+                    CoordTransform::new(&source?, &target?)
+                });
+                let made = Rc::new(made.map_err(|reason| RasterError::UnknownCrs {
                     definition: name.to_owned(),
-                    reason: error.to_string(),
-                })?;
-                let proj = Rc::new(proj);
-                MADE.with_borrow_mut(|made| made.insert(key, Rc::clone(&proj)));
-                proj
+                    reason,
+                })?);
+                MADE.with_borrow_mut(|all| all.insert(key, Rc::clone(&made)));
+                made
             }
         };
         Ok(Self {
-            proj,
+            transform,
             target: name.to_owned(),
         })
     }
@@ -291,9 +301,10 @@ impl CrsTransform {
             crs: self.target.clone(),
             reason,
         };
-        let (x, y) = self.proj.convert((x, y)).map_err(|error| failed(error.to_string()))?;
-        if x.is_finite() && y.is_finite() {
-            Ok((x, y))
+        let (mut x, mut y) = ([x], [y]);
+        messages::collect(|| self.transform.transform_coords(&mut x, &mut y, &mut [])).map_err(failed)?;
+        if x[0].is_finite() && y[0].is_finite() {
+            Ok((x[0], y[0]))
         } else {
             Err(failed("the point lies outside of it".to_owned()))
         }
@@ -303,7 +314,6 @@ impl CrsTransform {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform};
 
     #[test]
     fn utm_zones_follow_the_grid_and_its_exceptions() {
@@ -324,24 +334,46 @@ mod tests {
         }
     }
 
+    /// Longitude, latitude, EPSG, easting, northing: from PROJ 9.1.1.
+    const FROM_PROJ: [(f64, f64, u32, f64, f64); 4] = [
+        (2.35, 48.85, 32631, 452_314.891_233_666, 5_410_984.887_604_44),
+        (-81.66, 30.35, 32617, 436_568.395_077_271, 3_357_753.826_763_99),
+        (150.9, -33.8, 32756, 305_599.516_395_902, 6_258_036.886_805_46),
+        (-58.4, -34.6, 32721, 371_624.544_190_303, 6_170_423.240_398_88),
+    ];
+
     #[test]
-    fn proj_and_gdal_agree_below_a_millimetre() {
-        for (lon0, lat0) in [(36.9, 37.58), (-81.66, 30.35), (151.2, -33.9), (15.0, 78.2)] {
-            let crs = Crs::from_epsg(utm_epsg(lon0, lat0)).expect("EPSG codes of UTM zones are known");
-            let ours = CrsTransform::from_lon_lat(&crs).expect("PROJ knows the zone");
-            let mut source = SpatialRef::from_epsg(4326).expect("WGS 84");
-            let mut target = SpatialRef::from_wkt(crs.wkt()).expect("its own WKT");
-            source.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
-            target.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
-            let osr = CoordTransform::new(&source, &target).expect("OSR transform");
-            for step in 0..100 {
-                let (lon, lat) = (lon0 + f64::from(step % 10) * 0.05, lat0 + f64::from(step / 10) * 0.05);
-                let (mut x, mut y) = ([lon], [lat]);
-                osr.transform_coords(&mut x, &mut y, &mut []).expect("inside the zone");
-                let (east, north) = ours.apply(lon, lat).expect("inside the zone");
-                assert!((east - x[0]).hypot(north - y[0]) < 1e-3, "{lon} {lat}");
-            }
+    fn east_comes_first_in_every_system() {
+        for (lon, lat, epsg, easting, northing) in FROM_PROJ {
+            let crs = Crs::from_epsg(epsg).expect("a UTM zone");
+            let (east, north) = CrsTransform::from_lon_lat(&crs)
+                .and_then(|to| to.apply(lon, lat))
+                .expect("inside the zone");
+            assert!(
+                (east - easting).hypot(north - northing) < 1e-5,
+                "{epsg}: {east} {north}"
+            );
+            let back = CrsTransform::to_lon_lat(&crs).and_then(|to| to.apply(east, north));
+            let (lon_back, lat_back) = back.expect("inside the zone");
+            assert!((lon_back - lon).hypot(lat_back - lat) < 1e-10);
         }
+        // EPSG names northing and latitude first in these.
+        for (epsg, east_most) in [(31468, 4e6), (4258, 1e1)] {
+            let crs = Crs::from_epsg(epsg).expect("a German and a European system");
+            let to = CrsTransform::from_lon_lat(&crs).expect("a transformation");
+            let (east, _) = to.apply(12.0, 48.0).expect("inside");
+            assert!(east > east_most && east < 1.2 * east_most + 1e5, "{epsg}: {east}");
+        }
+    }
+
+    #[test]
+    fn a_place_outside_of_a_system_is_an_error() {
+        let crs = Crs::from_epsg(32631).expect("a UTM zone");
+        let to = CrsTransform::to_lon_lat(&crs).expect("a transformation");
+        assert!(matches!(to.apply(1e30, 1e30), Err(RasterError::Transform { .. })));
+        let mercator = Crs::from_epsg(3395).expect("World Mercator");
+        let to = CrsTransform::from_lon_lat(&mercator).expect("a transformation");
+        assert!(matches!(to.apply(0.0, f64::NAN), Err(RasterError::Transform { .. })));
     }
 
     #[test]

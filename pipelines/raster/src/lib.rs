@@ -168,8 +168,11 @@ impl RasterError {
 /// Versions of GDAL and PROJ in this process, for `--version` and reports.
 pub fn library_versions() -> (String, String) {
     let gdal = gdal::version::VersionInfo::release_name();
-    let proj = proj::ProjBuilder::new()
-        .lib_info()
-        .map_or_else(|_| "unknown".to_owned(), |info| info.version);
-    (gdal, proj)
+    let (mut major, mut minor, mut patch) = (0, 0, 0);
+    // SAFETY: the function writes three integers, to places that live here.
+    #[allow(unsafe_code, reason = "the crate gdal has no name for this function")]
+    unsafe {
+        gdal_sys::OSRGetPROJVersion(&raw mut major, &raw mut minor, &raw mut patch)
+    };
+    (gdal, format!("{major}.{minor}.{patch}"))
 }
