@@ -87,7 +87,7 @@ impl View {
         } else {
             Vec::new()
         };
-        let raster = texture(self.bands, self.shows);
+        let raster = texture(self.bands, self.shows, self.tilt);
         // Four bands have names, because nothing is made of bands whose names are a guess.
         let names: &[&str] = match self.bands {
             4 => &["red", "green", "blue", "near_infrared"],
@@ -156,14 +156,16 @@ pub fn parallel_camera(size_px: usize, gsd_m: f64, [longitude_deg, latitude_deg]
     }
 }
 
-fn texture(bands: usize, shows: Shows) -> Raster {
+/// Pixels of a view. Its brightness depends on its direction: no two cameras have the same pixels.
+fn texture(bands: usize, shows: Shows, tilt: [f64; 2]) -> Raster {
     let mut raster = Raster::filled(SIZE_PX, SIZE_PX, bands, 500.0);
     if shows == Shows::Nothing {
         return raster;
     }
+    let brighter = (100.0 * tilt[0] + 40.0 * tilt[1]).round() as f32;
     for (index, value) in raster.values.iter_mut().enumerate() {
         let (col, row) = (index % SIZE_PX, index / SIZE_PX % SIZE_PX);
-        *value = 400.0 + 200.0 * ((col as f32 * 0.7).sin() + (row as f32 * 0.4).cos());
+        *value = brighter + 400.0 + 200.0 * ((col as f32 * 0.7).sin() + (row as f32 * 0.4).cos());
         if shows == Shows::Half && row >= SIZE_PX / 2 {
             *value = 0.0;
         }

@@ -23,6 +23,15 @@ const SAMPLES: usize = 2;
 /// Depth of a step along a ray, cells.
 const RAY_STEP_CELLS: f64 = 0.8;
 
+/// Cover of level ground.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cover {
+    /// Looks different in each image, as water does.
+    Water,
+    /// Is of one brightness.
+    Plain,
+}
+
 /// Heights and albedo.
 #[derive(Clone)]
 pub struct Terrain {
@@ -31,6 +40,7 @@ pub struct Terrain {
     albedo: Vec<f32>,
     low_m: f32,
     high_m: f32,
+    covered: Vec<usize>,
 }
 
 /// Smooth noise of a wavelength in cells, -1 to 1.
@@ -78,6 +88,7 @@ impl Terrain {
             albedo,
             low_m: 0.0,
             high_m: 0.0,
+            covered: Vec::new(),
         };
         let buildings = rng.random_range(1..5);
         for _ in 0..buildings {
@@ -89,7 +100,24 @@ impl Terrain {
             let tall = rng.random_range(20.0..40.0);
             terrain.raise(rng, [28, 28], tall);
         }
+        if request.cover.is_some() {
+            terrain.level(rng);
+        }
         terrain
+    }
+
+    /// Levels a side of the ground, which a [`Cover`] lies on.
+    fn level(&mut self, rng: &mut Pcg32) {
+        let turn: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+        let edge = rng.random_range(0.0..0.15) * CELLS as f64;
+        let is_covered = |cell: &usize| {
+            let [col, row] = [cell % CELLS, cell / CELLS].map(|v| v as f64 - CELLS as f64 / 2.0);
+            col * turn.cos() + row * turn.sin() > edge
+        };
+        self.covered = (0..CELLS * CELLS).filter(is_covered).collect();
+        for &cell in &self.covered {
+            (self.height_m[cell], self.albedo[cell]) = (self.low_m, 0.2);
+        }
     }
 
     /// Adds a building of `wide` by `high` cells, `tall` metres above the ground, at a random place.
@@ -116,14 +144,16 @@ impl Terrain {
         at(-y_m) * CELLS + at(x_m)
     }
 
-    /// The lowest and highest height within a pixel of a place (longitude and latitude, degrees), metres.
-    pub(super) fn heights_around(&self, longitude_deg: f64, latitude_deg: f64) -> (f32, f32) {
+    /// The lowest and highest height within some pixels of a place (longitude and latitude, degrees), metres.
+    pub(super) fn heights_around(&self, longitude_deg: f64, latitude_deg: f64, reach_px: usize) -> (f32, f32) {
         let per_longitude = METRES_PER_DEGREE * PLACE[1].to_radians().cos();
         let x_m = (longitude_deg - PLACE[0]) * per_longitude;
         let y_m = (latitude_deg - PLACE[1]) * METRES_PER_DEGREE;
         let (mut low, mut high) = (f32::MAX, f32::MIN);
-        for step in 0..25 {
-            let [dx, dy] = [step % 5, step / 5].map(|s| (f64::from(s) - 2.0) * self.cell_m);
+        let reach = reach_px * PIXEL_CELLS as usize;
+        let side = 2 * reach + 1;
+        for step in 0..side * side {
+            let [dx, dy] = [step % side, step / side].map(|s| (s as f64 - reach as f64) * self.cell_m);
             let height = self.height_m[self.cell_of(x_m + dx, y_m + dy)];
             (low, high) = (low.min(height), high.max(height));
         }
@@ -206,6 +236,8 @@ pub struct TerrainRequest {
     pub tower: bool,
     /// True if a building stands in some of the images only.
     pub change: bool,
+    /// Cover of a side of the ground.
+    pub cover: Option<Cover>,
 }
 
 impl TerrainRequest {
@@ -222,6 +254,7 @@ impl TerrainRequest {
             periodic: false,
             tower: false,
             change: false,
+            cover: None,
         }
     }
 
@@ -282,7 +315,13 @@ impl TerrainRequest {
             let date = DATES[(first_date + 2 * view) % DATES.len()];
             let time: jiff::Timestamp = moment(date).parse().expect("a time");
             let toward = sun_position(time, place).direction_enu();
-            let lit = shown.lit(Some([toward.x, toward.y, toward.z]));
+            let mut lit = shown.lit(Some([toward.x, toward.y, toward.z]));
+            if self.cover == Some(Cover::Water) {
+                shown
+                    .covered
+                    .iter()
+                    .for_each(|&cell| lit[cell] = rng.random_range(0.1..0.3));
+            }
             let mut pixels = shown.image(&lit, self.size, *tilt);
             let gain = rng.random_range(600.0..1200.0);
             for value in &mut pixels.values {

@@ -2,6 +2,7 @@
 //! stretches to eight bits, and images of several resolutions.
 
 use heliosplat::Raster;
+use heliosplat_raster::write::copy_with_rpc;
 use heliosplat_raster::{Crs, CrsTransform, GeoTransform, ImageSpec, RasterFile, SampleType, Window, write_geotiff};
 use heliosplat_rpc::read::gdal_domain;
 use heliosplat_rpc::{Rpc, write};
@@ -427,6 +428,26 @@ fn copies_of_one_image_are_refused_and_one_among_others_is_named() {
         bases[0] < 1e-6 && bases[1..].iter().all(|base| (base - 0.206).abs() < 0.01),
         "{bases:?}"
     );
+}
+
+#[test]
+fn equal_pixels_under_unlike_cameras_are_named() {
+    let home = tempdir().expect("a temporary folder");
+    let views = views();
+    views.iter().for_each(|view| drop(view.write(home.path())));
+    let named = || {
+        let scene = open(home.path()).expect("a scene");
+        let told = scene
+            .findings
+            .into_iter()
+            .filter(|finding| finding.code == "same-pixels");
+        told.map(|finding| finding.images).collect::<Vec<_>>()
+    };
+    assert!(named().is_empty());
+    let [image, target] = ["view_1.tif", "view_2.tif"].map(|name| home.path().join(name));
+    let camera: Vec<(String, String)> = write::gdal_domain(&views[2].rpc()).into_iter().collect();
+    copy_with_rpc(&image, &target, &camera).expect("written");
+    assert_eq!(named(), [["view_1", "view_2"]]);
 }
 
 /// Finding codes and full output of `inspect` for a scene.

@@ -1,4 +1,5 @@
-//! Test whether a swept surface touches the limits of the searched altitudes and was thereby cut off.
+//! Tests whether a swept surface touches the limits of the searched altitudes and was thereby cut off, and whether the
+//! images agree on it at all.
 
 use heliosplat_scene::{Scene, crop};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface};
@@ -12,6 +13,10 @@ const WIDENING: f64 = 0.5;
 /// Least widening of the range, metres.
 const LEAST_WIDENING_M: f64 = 20.0;
 
+/// Least share of the ground in two or more images that is known in a scene of sound cameras and altitudes: on the
+/// smaller part of the ground images agree by chance too (docs/lab/deliveries.md).
+const LEAST_KNOWN: f64 = 0.5;
+
 /// Number of matched cells of a surface, and of those at the lowest and at the highest searched altitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct AtLimits {
@@ -21,6 +26,10 @@ pub struct AtLimits {
     pub high: usize,
     /// All matched cells.
     pub matched: usize,
+    /// Cells that two or more images show.
+    pub seen: usize,
+    /// Cells of known altitude.
+    pub known: usize,
 }
 
 impl std::ops::AddAssign for AtLimits {
@@ -28,6 +37,8 @@ impl std::ops::AddAssign for AtLimits {
         self.low += other.low;
         self.high += other.high;
         self.matched += other.matched;
+        self.seen += other.seen;
+        self.known += other.known;
     }
 }
 
@@ -55,28 +66,33 @@ impl AtLimits {
         widened(self, range_m)
     }
 
-    /// Warning about too narrow a range of altitudes (metres above the ellipsoid); `None` where it is wide enough.
-    pub fn warning(&self, (low_m, high_m): (f64, f64)) -> Option<String> {
-        let wider = self.wider((low_m, high_m))?;
-        let mut ends = Vec::new();
-        if self.share(self.low) > TOUCHING {
-            ends.push(format!(
-                "{:.1} % of its matched cells lie at the lowest, {low_m:.0} m",
-                100.0 * self.share(self.low)
+    /// Warnings about too narrow a range of altitudes (metres above the ellipsoid), and about ground that is mostly
+    /// unknown.
+    pub fn warnings(&self, range_m: (f64, f64)) -> Vec<String> {
+        let mut found = Vec::new();
+        let known = self.known as f64 / self.seen.max(1) as f64;
+        if self.seen > 0 && known < LEAST_KNOWN {
+            found.push(format!(
+                "only {:.0} % of the ground in two or more images is known; unless the rest is water, snow or cloud, check cameras and \
+                 --altitude with `heliosplat inspect`",
+                100.0 * known
             ));
         }
-        if self.share(self.high) > TOUCHING {
-            ends.push(format!(
-                "{:.1} % of its matched cells lie at the highest, {high_m:.0} m",
-                100.0 * self.share(self.high)
+        if let Some(wider) = self.wider(range_m) {
+            let ends = [(self.low, "lowest", range_m.0), (self.high, "highest", range_m.1)];
+            let touched = ends.into_iter().filter(|(count, ..)| self.share(*count) > TOUCHING);
+            let touched = touched.map(|(count, end, at_m)| {
+                let share = 100.0 * self.share(count);
+                format!("{share:.1} % of its matched cells lie at the {end}, {at_m:.0} m")
+            });
+            found.push(format!(
+                "the surface touches the limits of the altitudes searched: {}; try --altitude {:.0},{:.0}",
+                touched.collect::<Vec<_>>().join(", "),
+                wider.0,
+                wider.1
             ));
         }
-        Some(format!(
-            "the surface touches the limits of the altitudes searched: {}; try --altitude {:.0},{:.0}",
-            ends.join(", "),
-            wider.0,
-            wider.1
-        ))
+        found
     }
 }
 
@@ -93,6 +109,10 @@ fn counted(surface: &Surface, (low_m, high_m): (f64, f64)) -> AtLimits {
         low: matched.iter().filter(|&&up_m| up_m < low_m + step_m).count(),
         high: matched.iter().filter(|&&up_m| up_m > high_m - step_m).count(),
         matched: matched.len(),
+        seen: surface.views.iter().filter(|&&views| views >= FEWEST_VIEWS).count(),
+        known: (0..surface.altitude.len())
+            .filter(|&cell| surface.is_known(cell))
+            .count(),
     }
 }
 
@@ -112,6 +132,8 @@ mod tests {
             height: 1,
             confidence: vec![0.5; altitude.len()],
             filled: vec![false; altitude.len()],
+            matched: vec![true; altitude.len()],
+            probability: vec![0.5; altitude.len()],
             resolution_m: 1.0,
             altitude,
             ..Surface::default()
@@ -122,7 +144,13 @@ mod tests {
     fn cells_at_a_limit_are_counted_among_those_that_were_matched() {
         let mut cut_off = surface(vec![3.0, 9.5, 9.8, -4.0, 9.9]);
         cut_off.views = vec![2, 3, 2, 2, 1];
-        let counts = |low, high, matched| AtLimits { low, high, matched };
+        let counts = |low, high, matched| AtLimits {
+            low,
+            high,
+            matched,
+            seen: 4,
+            known: 4,
+        };
         assert_eq!(counted(&cut_off, (-10.0, 10.0)), counts(0, 2, 4));
         cut_off.confidence[3] = 0.0;
         cut_off.filled[1] = true;
@@ -136,11 +164,28 @@ mod tests {
                 low,
                 high,
                 matched: 100,
+                ..AtLimits::default()
             };
             widened(&at, (100.0, 200.0))
         };
         assert_eq!(widened(1, 1), None);
         assert_eq!(widened(30, 0), Some((50.0, 200.0)));
         assert_eq!(widened(0, 6), Some((100.0, 250.0)));
+    }
+
+    #[test]
+    fn ground_that_is_mostly_unknown_is_a_warning() {
+        let warnings = |known| {
+            let of_cells = AtLimits {
+                seen: 100,
+                known,
+                matched: 100,
+                ..AtLimits::default()
+            };
+            of_cells.warnings((0.0, 100.0))
+        };
+        assert!(warnings(50).is_empty());
+        assert!(warnings(49)[0].starts_with("only 49 % of the ground"));
+        assert!(AtLimits::default().warnings((0.0, 100.0)).is_empty());
     }
 }

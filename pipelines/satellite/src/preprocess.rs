@@ -95,7 +95,7 @@ impl<'a> Preprocess<'a> {
         let mut changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
         drop(part);
         let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes).inspect(log_lowered);
-        if let Some(warning) = AtLimits::of(&surface, scene).warning(scene.altitude_range_m) {
+        for warning in AtLimits::of(&surface, scene).warnings(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
         let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];

@@ -119,7 +119,7 @@ impl TiledSweep<'_> {
             return Err(SatelliteError::too_few_views(0));
         }
         log_lowered(&lowered);
-        if let Some(warning) = at_limits.warning(self.survey.altitude_range_m) {
+        for warning in at_limits.warnings(self.survey.altitude_range_m) {
             tracing::warn!("{warning}");
         }
         Ok(Written {

@@ -40,6 +40,25 @@ impl SceneImage {
         if ray.z > 0.0 { -ray } else { ray }
     }
 
+    /// True if the two files have equal values wherever both were read.
+    fn has_pixels_of(&self, other: &Self) -> bool {
+        let (a, b) = (&self.window, &other.window);
+        let cols = a.col0.max(b.col0)..(a.col0 + a.width).min(b.col0 + b.width);
+        let rows = a.row0.max(b.row0)..(a.row0 + a.height).min(b.row0 + b.height);
+        let value = |image: &Self, band: usize, (col, row): (usize, usize)| {
+            let (col, row) = (col - image.window.col0, row - image.window.row0);
+            image.pixels.at(band, col, row)
+        };
+        let is_alike = |band: usize, place: (usize, usize)| {
+            let (a, b) = (value(self, band, place), value(other, band, place));
+            a == b || (a.is_nan() && b.is_nan())
+        };
+        let bands = self.pixels.bands;
+        let mut places = rows.clone().flat_map(|row| cols.clone().map(move |col| (col, row)));
+        let is_shared = bands == other.pixels.bands && !rows.is_empty() && !cols.is_empty();
+        is_shared && places.all(|place| (0..bands).all(|band| is_alike(band, place)))
+    }
+
     /// Displacement of the ray through the scene's centre per metre of altitude, metres east and north.
     fn parallax(&self) -> Vector2<f64> {
         let ray = self.ray();
@@ -83,31 +102,44 @@ impl Scene {
         (0..STEPS * STEPS).map(|i| image.sees(place(i))).collect()
     }
 
-    /// Warns about pairs of training images with equal cameras: over the whole range of altitudes, the parallax between
-    /// them is less than matching can measure.
+    /// Warns about pairs of training images with equal cameras (over the whole range of altitudes, the parallax between
+    /// them is less than matching can measure) and about those with equal pixels under unlike cameras.
     pub(super) fn warn_of_copies(&mut self) {
         let (low_m, high_m) = self.altitude_range_m;
         let measurable = MATCHING_PX * self.gsd_m / (high_m - low_m);
         let mut warned: Vec<String> = Vec::new();
         for pair in self.pairs() {
-            if pair.base_to_height < measurable && pair.overlap > 0.0 && !warned.contains(&pair.b) {
-                let message = format!(
-                    "{} and {} have the same camera: no parallax between them, and they count as one view",
-                    pair.a, pair.b
-                );
-                self.warnings.push(message.clone());
-                warned.push(pair.b.clone());
-                let files = [&pair.a, &pair.b].map(|name| self.images.iter().find(|image| image.name == *name));
-                self.findings.push(Finding {
-                    code: "same-camera",
-                    severity: Severity::Warning,
-                    files: files.into_iter().flatten().map(|image| image.path.clone()).collect(),
-                    images: vec![pair.a, pair.b],
-                    value: Some(pair.base_to_height),
-                    bound: Some(measurable),
-                    message,
-                });
+            let images = [&pair.a, &pair.b].map(|name| self.images.iter().find(|image| image.name == *name));
+            let [Some(a), Some(b)] = images else {
+                continue;
+            };
+            let has_one_camera = pair.base_to_height < measurable && pair.overlap > 0.0;
+            let (code, what) = match has_one_camera {
+                true => (
+                    "same-camera",
+                    "have the same camera: no parallax between them, and they count as one view",
+                ),
+                false if a.has_pixels_of(b) => (
+                    "same-pixels",
+                    "show the same pixels under unlike cameras: take out the one whose camera is not its own",
+                ),
+                false => continue,
+            };
+            if warned.contains(&pair.b) {
+                continue;
             }
+            let message = format!("{} and {} {what}", pair.a, pair.b);
+            self.findings.push(Finding {
+                code,
+                severity: Severity::Warning,
+                files: vec![a.path.clone(), b.path.clone()],
+                images: vec![pair.a, pair.b.clone()],
+                value: has_one_camera.then_some(pair.base_to_height),
+                bound: has_one_camera.then_some(measurable),
+                message: message.clone(),
+            });
+            self.warnings.push(message);
+            warned.push(pair.b);
         }
     }
 }

@@ -248,13 +248,13 @@ pub enum Truth {
 
 impl Truth {
     /// Error of a height at a longitude and latitude, metres: its distance from the interval of the true heights within
-    /// a pixel; `None` where no height is known.
-    pub fn error_m(&self, longitude_deg: f64, latitude_deg: f64, height_m: f32) -> Option<f32> {
+    /// some pixels; `None` where no height is known.
+    pub fn error_m(&self, [longitude_deg, latitude_deg]: [f64; 2], height_m: f32, reach_px: usize) -> Option<f32> {
         let error = |(low, high): (f32, f32)| height_m - height_m.clamp(low, high);
         match self {
             Self::Terrains(terrains) => terrains
                 .iter()
-                .map(|terrain| error(terrain.heights_around(longitude_deg, latitude_deg)))
+                .map(|terrain| error(terrain.heights_around(longitude_deg, latitude_deg, reach_px)))
                 .min_by(|a, b| a.abs().total_cmp(&b.abs())),
             Self::Raster {
                 heights,
@@ -265,8 +265,10 @@ impl Truth {
                 let (x, y) = from_lon_lat.apply(longitude_deg, latitude_deg).ok()?;
                 let [col, row] = transform.pixel_from_map(x, y).map(|at| at.round() as isize);
                 let (mut low, mut high) = (f32::MAX, f32::MIN);
-                for step in 0..9 {
-                    let (col, row) = (col + step % 3 - 1, row + step / 3 - 1);
+                let reach = reach_px as isize;
+                for (col, row) in
+                    (row - reach..=row + reach).flat_map(|r| (col - reach..=col + reach).map(move |c| (c, r)))
+                {
                     let inside =
                         (0..heights.width as isize).contains(&col) && (0..heights.height as isize).contains(&row);
                     if !inside {
@@ -286,7 +288,7 @@ impl Truth {
     pub fn describe(&self, longitude_deg: f64, latitude_deg: f64) -> String {
         match self {
             Self::Terrains(terrains) => {
-                let (low, high) = terrains[0].heights_around(longitude_deg, latitude_deg);
+                let (low, high) = terrains[0].heights_around(longitude_deg, latitude_deg, 1);
                 format!("true {low:.1} to {high:.1}")
             }
             Self::Raster {

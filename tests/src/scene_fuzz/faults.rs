@@ -1,10 +1,10 @@
 //! Faults of scenes: of cameras, pixels, bands, dates and altitudes, each of random strength.
 
 use super::delivery::{Declared, Image, Scene};
-use crate::terrain::TerrainRequest;
+use crate::terrain::{Cover, TerrainRequest};
 use heliosplat::Raster;
 use heliosplat_raster::SampleType;
-use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
+use heliosplat_rpc::Rpc;
 use rand::RngExt;
 use rand_pcg::Pcg32;
 use serde_json::json;
@@ -149,13 +149,15 @@ impl Fault {
 
     /// True for faults of the ground and of the directions of the images: only a terrain is made with them.
     pub fn is_of_terrain(self) -> bool {
-        matches!(self, NoBase | Periodic | Tower | Steep | Change)
+        matches!(self, NoBase | Water | Plain | Periodic | Tower | Steep | Change)
     }
 
     /// Puts a fault of the ground into the request of a terrain.
     pub fn ask(self, request: &mut TerrainRequest, rng: &mut Pcg32) {
         match self {
             NoBase => request.convergence_deg = Some(rng.random_range(0.0..3.0)),
+            Water => request.cover = Some(Cover::Water),
+            Plain => request.cover = Some(Cover::Plain),
             Periodic => request.periodic = true,
             Tower => request.tower = true,
             Steep => request.hills_m *= rng.random_range(3.0..10.0),
@@ -355,7 +357,6 @@ impl Fault {
                     cloud(image, rng);
                 }
             }
-            Water | Plain => cover(scene, self, rng),
             Dates => {
                 let dates: Vec<_> = scene.images.iter().map(|image| image.items.clone()).collect();
                 for (image, items) in scene.images.iter_mut().zip(dates.iter().cycle().skip(1)) {
@@ -402,7 +403,7 @@ impl Fault {
                 scene.stated_m = Some((low - 10.0 + by, high + 10.0 + by));
             }
             NoAltitudes => scene.stated_m = None,
-            NoBase | Periodic | Tower | Steep | Change => {}
+            NoBase | Water | Plain | Periodic | Tower | Steep | Change => {}
         }
     }
 }
@@ -519,49 +520,4 @@ fn cloud(image: &mut Image, rng: &mut Pcg32) {
             }
         }
     }
-}
-
-/// Covers the same third of the ground in each image: with noise of its own, or with one brightness.
-fn cover(scene: &mut Scene, fault: Fault, rng: &mut Pcg32) {
-    let height_m = scene.altitude_m.0;
-    let Some(middle) = ground(&scene.images[0], 0.5, 0.5, height_m) else {
-        return;
-    };
-    let turn: f64 = rng.random_range(0.0..std::f64::consts::TAU);
-    let edge_m = scene.gsd_m * scene.images[0].pixels.width as f64 * rng.random_range(0.0..0.25);
-    let per_degree = 111_320.0;
-    for image in &mut scene.images {
-        let level = 0.3 * quantile(&image.pixels.values, 0.5);
-        let (width, plane) = (image.pixels.width, image.len());
-        for index in 0..plane {
-            let (col, row) = (index % width, index / width);
-            let at = ImagePoint {
-                col: col as f64,
-                row: row as f64,
-            };
-            let Ok(place) = image.rpc.localise(at, height_m) else {
-                continue;
-            };
-            let east = (place.lon_deg - middle.lon_deg) * per_degree * middle.lat_deg.to_radians().cos();
-            let north = (place.lat_deg - middle.lat_deg) * per_degree;
-            if east * turn.cos() + north * turn.sin() < edge_m {
-                continue;
-            }
-            for band in 0..image.pixels.bands {
-                let value = match fault {
-                    Water => level * rng.random_range(0.85..1.15),
-                    _ => level,
-                };
-                image.pixels.values[band * plane + index] = value;
-            }
-        }
-    }
-}
-
-fn ground(image: &Image, across: f64, down: f64, height_m: f64) -> Option<GeoPoint> {
-    let at = ImagePoint {
-        col: across * image.pixels.width as f64,
-        row: down * image.pixels.height as f64,
-    };
-    image.rpc.localise(at, height_m).ok()
 }
