@@ -12,8 +12,8 @@ const C1: f32 = 0.01 * 0.01;
 const C2: f32 = 0.03 * 0.03;
 
 /// Weights of the one-dimensional window; they sum to one.
-fn window() -> [f32; 2 * RADIUS + 1] {
-    let mut weights = [0.0; 2 * RADIUS + 1];
+fn window() -> [f32; TAPS] {
+    let mut weights = [0.0; TAPS];
     for (i, w) in weights.iter_mut().enumerate() {
         let x = i as f32 - RADIUS as f32;
         *w = (-0.5 * x * x / (SIGMA * SIGMA)).exp();
@@ -22,48 +22,30 @@ fn window() -> [f32; 2 * RADIUS + 1] {
     weights.map(|w| w / sum)
 }
 
-/// Pixels that are convolved together: their sums stay in registers.
-const LANES: usize = 16;
+/// Length of the window, pixels.
+const TAPS: usize = 2 * RADIUS + 1;
 /// Rows of a strip, a parallel job: with its margins it fits a cache.
 const ROWS: usize = 32;
 
 vectorised! {
-    /// Convolves a row along its length; `padded` has the row with zeros on both sides.
-    fn along(padded: &[f32], weights: &[f32; 2 * RADIUS + 1], out: &mut [f32]) {
-        for (number, out) in out.chunks_exact_mut(LANES).enumerate() {
-            let mut sums = [0.0; LANES];
-            for (tap, &w) in weights.iter().enumerate() {
-                let from = &padded[number * LANES + tap..number * LANES + tap + LANES];
-                for l in 0..LANES {
-                    sums[l] += w * from[l];
-                }
+    /// Weighted sum of rows that are at least as long as `out`. The outer loop is over pixels, which lets it be
+    /// vectorised at every level of optimisation.
+    fn weighted_sum(rows: &[&[f32]; TAPS], weights: &[f32; TAPS], out: &mut [f32]) {
+        let n = out.len();
+        let rows = rows.map(|row| &row[..n]);
+        for i in 0..n {
+            let mut sum = 0.0;
+            for tap in 0..TAPS {
+                sum += weights[tap] * rows[tap][i];
             }
-            out.copy_from_slice(&sums);
-        }
-    }
-}
-
-vectorised! {
-    /// Sums the first rows of `rows`, one for each weight; a row has the length of `out`.
-    fn across(rows: &[f32], weights: &[f32], out: &mut [f32]) {
-        let stride = out.len();
-        for (number, out) in out.chunks_exact_mut(LANES).enumerate() {
-            let mut sums = [0.0; LANES];
-            for (tap, &w) in weights.iter().enumerate() {
-                let start = tap * stride + number * LANES;
-                let from = &rows[start..start + LANES];
-                for l in 0..LANES {
-                    sums[l] += w * from[l];
-                }
-            }
-            out.copy_from_slice(&sums);
+            out[i] = sum;
         }
     }
 }
 
 /// Room to convolve a strip of `P` planes at once.
 struct Strip<const P: usize> {
-    weights: [f32; 2 * RADIUS + 1],
+    weights: [f32; TAPS],
     width: usize,
     height: usize,
     padded: Vec<f32>,
@@ -74,14 +56,13 @@ struct Strip<const P: usize> {
 
 impl<const P: usize> Strip<P> {
     fn new(width: usize, height: usize) -> Self {
-        let stride = width.next_multiple_of(LANES);
         Self {
             weights: window(),
             width,
             height,
-            padded: vec![0.0; stride + 2 * RADIUS],
-            rows: [(); P].map(|()| vec![0.0; stride * (ROWS + 2 * RADIUS)]),
-            out: [(); P].map(|()| vec![0.0; stride]),
+            padded: vec![0.0; width + 2 * RADIUS],
+            rows: [(); P].map(|()| vec![0.0; width * (ROWS + 2 * RADIUS)]),
+            out: [(); P].map(|()| vec![0.0; width]),
         }
     }
 
@@ -93,23 +74,26 @@ impl<const P: usize> Strip<P> {
         fill: impl Fn(usize, usize, &mut [f32]),
         mut done: impl FnMut(usize, [&[f32]; P]),
     ) {
-        let stride = self.out[0].len();
-        let rows = number * ROWS..((number + 1) * ROWS).min(self.height);
-        let first = rows.start.saturating_sub(RADIUS);
-        for row in first..(rows.end + RADIUS).min(self.height) {
-            let place = (row - first) * stride..(row - first + 1) * stride;
-            for (plane, smooth) in self.rows.iter_mut().enumerate() {
-                fill(plane, row, &mut self.padded[RADIUS..RADIUS + self.width]);
-                along(&self.padded, &self.weights, &mut smooth[place.clone()]);
+        let (width, first) = (self.width, number * ROWS);
+        let rows = ROWS.min(self.height - first);
+        for (plane, smooth) in self.rows.iter_mut().enumerate() {
+            for (offset, smooth) in smooth.chunks_exact_mut(width).take(rows + 2 * RADIUS).enumerate() {
+                match (first + offset).checked_sub(RADIUS).filter(|&row| row < self.height) {
+                    Some(row) => {
+                        fill(plane, row, &mut self.padded[RADIUS..RADIUS + width]);
+                        let taps = std::array::from_fn(|tap| &self.padded[tap..]);
+                        weighted_sum(&taps, &self.weights, smooth);
+                    }
+                    None => smooth.fill(0.0),
+                }
             }
         }
-        for row in rows.clone() {
-            let taps = RADIUS.saturating_sub(row)..(2 * RADIUS + 1).min(self.height + RADIUS - row);
-            let start = (row + taps.start - RADIUS - first) * stride;
+        for row in 0..rows {
             for (smooth, out) in self.rows.iter().zip(&mut self.out) {
-                across(&smooth[start..], &self.weights[taps.clone()], out);
+                let taps = std::array::from_fn(|tap| &smooth[(row + tap) * width..]);
+                weighted_sum(&taps, &self.weights, out);
             }
-            done(row - rows.start, self.out.each_ref().map(|out| &out[..self.width]));
+            done(row, self.out.each_ref().map(Vec::as_slice));
         }
     }
 }
