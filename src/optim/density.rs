@@ -25,10 +25,10 @@ const PRUNE_OPACITY: f32 = 0.02;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DensityOptions {
-    /// Steps between two rounds of density control; 0 is never. `fast` has none, `balanced` and objects one every 100
-    /// steps.
+    /// Steps between two rounds of density control; 0 is never. `fast` has none, `balanced` one every 100 steps, and
+    /// objects one every 50 or 100.
     pub every: usize,
-    /// At most this many Gaussians: 20,000 in `fast` of objects, 150,000 in `accurate`; `--memory` may lower it.
+    /// At most this many Gaussians: 20,000 to 150,000 for objects; `--memory` may lower it.
     pub cap: usize,
     /// First step with density control.
     #[serde(skip)]

@@ -175,6 +175,17 @@ impl Capture {
         self.frames.iter().filter(move |f| f.split == split)
     }
 
+    /// Area of the object's surface in pixels of the images: four times the mean silhouette, as for every convex body
+    /// (Cauchy 1841). An image without coverage counts as a whole.
+    pub(super) fn surface_px(&self) -> usize {
+        let silhouette = |frame: &Frame| match &frame.picture.coverage {
+            Some(coverage) => coverage.iter().sum::<f32>(),
+            None => frame.picture.colour.plane_len() as f32,
+        };
+        let total: f32 = self.frames.iter().map(silhouette).sum();
+        (4.0 * total / self.frames.len().max(1) as f32) as usize
+    }
+
     /// True if all images have coverage.
     pub fn has_coverage(&self) -> bool {
         self.frames.iter().all(|f| f.picture.coverage.is_some())

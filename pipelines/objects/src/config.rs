@@ -130,18 +130,31 @@ pub struct ObjectConfig {
     pub model: ModelOptions,
 }
 
-impl ObjectConfig {
-    /// Resolves a configuration: the defaults, then the preset's file, then the `--set` pairs in their order. `seed` is
-    /// the seed of training.
+/// Configurations of a run by kind of model: a step of `radiance` takes a fraction of the time of the other kinds, so
+/// its `fast` has more Gaussians and more steps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObjectConfigs {
+    /// Configuration for `radiance`.
+    pub radiance: ObjectConfig,
+    /// Configuration for `olat` and `reflective`, and for the short fits that choose a model.
+    pub lit: ObjectConfig,
+}
+
+impl ObjectConfigs {
+    /// Resolves the configurations: the defaults, then the preset's files, then the `--set` pairs in their order.
+    /// `seed` is the seed of training.
     ///
     /// # Errors
     /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for a
     /// network of a size out of range, or a preset for satellite scenes only.
     pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
-        let text = match preset {
-            Preset::Fast => include_str!("../presets/fast.toml"),
-            Preset::Balanced => include_str!("../presets/balanced.toml"),
-            Preset::Accurate => include_str!("../presets/accurate.toml"),
+        let (lit, radiance) = match preset {
+            Preset::Fast => (
+                include_str!("../presets/fast.toml"),
+                Some(include_str!("../presets/fast_radiance.toml")),
+            ),
+            Preset::Balanced => (include_str!("../presets/balanced.toml"), None),
+            Preset::Accurate => (include_str!("../presets/accurate.toml"), None),
             Preset::Preview | Preset::Best => {
                 return Err(ConfigError::Value {
                     key: "preset".into(),
@@ -150,10 +163,38 @@ impl ObjectConfig {
                 });
             }
         };
-        let mut config: Self = resolve(preset.name(), text, set)?;
-        config.train = for_objects(config.train, seed);
-        config.model.checked()?;
-        Ok(config)
+        let of = |text| -> Result<ObjectConfig, ConfigError> {
+            let mut config: ObjectConfig = resolve(preset.name(), text, set)?;
+            config.train = for_objects(config.train, seed);
+            config.model.checked()?;
+            Ok(config)
+        };
+        let lit = of(lit)?;
+        let radiance = match radiance {
+            Some(text) => {
+                let mut radiance = of(text)?;
+                radiance.train.own_rate_steps = RADIANCE_RATE_STEPS;
+                radiance
+            }
+            None => lit.clone(),
+        };
+        Ok(Self { radiance, lit })
+    }
+
+    /// Limits the Gaussians to `most`, and those of the start to half as many, which leaves room for growth.
+    pub(super) fn limit(&mut self, most: usize) {
+        for config in [&mut self.radiance, &mut self.lit] {
+            config.start.gaussians = config.start.gaussians.min(most / 2);
+            config.train.density.cap = config.train.density.cap.min(most);
+        }
+    }
+
+    /// Configuration for a kind of model.
+    pub fn of(&self, kind: ModelKind) -> &ObjectConfig {
+        match kind {
+            ModelKind::Radiance => &self.radiance,
+            _ => &self.lit,
+        }
     }
 }
 
@@ -180,6 +221,10 @@ impl Parts {
         }
     }
 }
+
+/// Steps below which opacities, scales and colours have higher rates in short trainings of `radiance`
+/// (docs/lab/objects.md).
+const RADIANCE_RATE_STEPS: usize = 3200;
 
 /// Settings of trainings on objects that differ from those on ground. Lengths are in pixels at the object's centre.
 fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {
@@ -211,18 +256,21 @@ mod tests {
     #[test]
     fn every_preset_parses_and_asks_no_ground_of_an_object() {
         for preset in [Preset::Fast, Preset::Balanced, Preset::Accurate] {
-            let config = ObjectConfig::resolve(preset, &[], 3).expect("a sound preset");
-            assert_eq!((config.train.seed, config.train.consistency_weight), (3, 0.0));
+            let configs = ObjectConfigs::resolve(preset, &[], 3).expect("a sound preset");
+            for config in [configs.of(ModelKind::Radiance), configs.of(ModelKind::Olat)] {
+                assert_eq!((config.train.seed, config.train.consistency_weight), (3, 0.0));
+            }
         }
-        let refused = ObjectConfig::resolve(Preset::Best, &[], 1).expect_err("of satellite scenes only");
+        let refused = ObjectConfigs::resolve(Preset::Best, &[], 1).expect_err("of satellite scenes only");
         assert!(refused.to_string().contains("fast, balanced or accurate"), "{refused}");
         let set = [("model.network_layers".to_owned(), "0".to_owned())];
-        let refused = ObjectConfig::resolve(Preset::Fast, &set, 1).expect_err("a network needs a layer");
+        let refused = ObjectConfigs::resolve(Preset::Fast, &set, 1).expect_err("a network needs a layer");
         assert!(refused.to_string().contains("1 to 8"), "{refused}");
         let set = [("model.sh_degree".to_owned(), "1".to_owned())];
         assert_eq!(
-            ObjectConfig::resolve(Preset::Fast, &set, 1)
+            ObjectConfigs::resolve(Preset::Fast, &set, 1)
                 .expect("a known key")
+                .radiance
                 .model
                 .sh_degree,
             1

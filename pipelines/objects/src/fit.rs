@@ -1,7 +1,7 @@
 //! Fit of a model to a capture: selection of the model, initial Gaussians, training.
 
 use super::capture::{Capture, Frame};
-use super::config::ObjectConfig;
+use super::config::ObjectConfigs;
 use super::model::{self, ObjectModel};
 use super::plan::{self, Plan};
 use super::prepare::{self, FitInput};
@@ -46,7 +46,7 @@ pub struct Fitted {
 /// [`TrainingError`] when a short fit or the training fails, or the state cannot be written.
 pub fn fit(
     capture: &Capture,
-    config: &ObjectConfig,
+    configs: &ObjectConfigs,
     session: &Session,
     budget: Option<Budget>,
     mut checkpoints: CheckpointWriter<Plan>,
@@ -57,7 +57,7 @@ pub fn fit(
         .as_ref()
         .and_then(|checkpoint| checkpoint.preprocessed.clone());
     let part = stage("trials");
-    let plan = planned_before.map_or_else(|| plan::plan(capture, config, session), Ok)?;
+    let plan = planned_before.map_or_else(|| plan::plan(capture, &configs.lit, session), Ok)?;
     drop(part);
     checkpoints.preprocessed = Some(plan.clone());
     let with_or_without = |has: bool| if has { "with" } else { "without" };
@@ -68,7 +68,7 @@ pub fn fit(
         with_or_without(plan.parts.scattering),
         plan.reason
     );
-    let planned = plan.parts.of(config);
+    let planned = plan.parts.of(configs.of(plan.kind));
     let part = stage("start");
     let frames: Vec<&Frame> = capture.of(Split::Train).collect();
     let FitInput {
@@ -85,7 +85,7 @@ pub fn fit(
         .enumerate()
         .filter_map(|(i, frame)| views::view(frame, capture.centre, &preparation, i))
         .collect();
-    let mut options = config.train.clone().for_views(views.len());
+    let mut options = planned.train.clone().for_views(views.len());
     options.gsd_m = capture.pixel_size as f32;
     let steps = options.iterations;
     let started = parameters.gaussians.count;

@@ -154,7 +154,11 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
             specular: may.specular && olat,
             ..nothing
         };
-        return Ok(untried(dull, parts, "too few images, or steps, to try parts"));
+        let reason = match config.model.pilot_steps {
+            0 => "no short fits",
+            _ => "too few images for short fits",
+        };
+        return Ok(untried(dull, parts, reason));
     }
     let progress = session.progress("plan", 3);
     let mut trials = Trials {

@@ -2,7 +2,7 @@
 //! → save ([`run`]) → evaluate ([`measure`]).
 
 use crate::capture::{Capture, IMAGE_BYTES};
-use crate::config::ObjectConfig;
+use crate::config::ObjectConfigs;
 use crate::error::ObjectError;
 use crate::fit::{self, Fitted};
 use crate::measure;
@@ -26,6 +26,9 @@ use std::path::Path;
 
 /// Bytes that a Gaussian takes in training: its parameters, their gradients, Adam's two memories, and its splat.
 const BYTES_PER_GAUSSIAN: f64 = 4.0 * 4.0 * 59.0 + 500.0;
+
+/// Fewest Gaussians for which memory must suffice.
+const LEAST_GAUSSIANS: usize = 1000;
 
 /// A trained model and its `run.toml`.
 pub struct TrainedObject {
@@ -55,7 +58,7 @@ pub fn open(path: &Path, memory: Option<u64>) -> Result<Capture, ObjectError> {
 /// be written.
 pub fn train(
     path: &Path,
-    mut config: ObjectConfig,
+    mut configs: ObjectConfigs,
     request: &TrainRequest,
     session: &Session,
 ) -> Result<TrainOutcome<TrainedObject>, ObjectError> {
@@ -64,22 +67,22 @@ pub fn train(
     let capture = open(path, request.memory)?;
     drop(part);
     let part = stage("decide");
+    let mut most = capture.surface_px();
     if let Some(limit) = request.memory {
         let resident = resident_bytes() as f64;
-        let left = limit as f64 - resident;
-        let most = (left / BYTES_PER_GAUSSIAN).max(0.0) as usize;
-        if most < config.start.gaussians {
-            let least = config.start.gaussians as f64 * BYTES_PER_GAUSSIAN + resident;
+        let room = ((limit as f64 - resident) / BYTES_PER_GAUSSIAN).max(0.0) as usize;
+        if room < LEAST_GAUSSIANS {
+            let least = LEAST_GAUSSIANS as f64 * BYTES_PER_GAUSSIAN + resident;
             return Err(ObjectError::Memory(format!(
-                "--memory: the images leave no room for {} Gaussians; give {:.2}GiB or more, or fewer with --set start.gaussians={most}",
-                config.start.gaussians,
+                "--memory: the images leave no room for {LEAST_GAUSSIANS} Gaussians; give {:.2}GiB or more",
                 least / f64::from(1 << 30) + 0.01
             )));
         }
-        config.train.density.cap = config.train.density.cap.min(most);
+        most = most.min(room);
     }
+    configs.limit(most);
     let inputs = hashes(&capture)?;
-    let identity = identity(request, &config, &capture, &inputs)?;
+    let identity = identity(request, &configs, &capture, &inputs)?;
     let folder = match FolderState::<Plan>::look(RunRequest {
         request,
         identity: &identity,
@@ -96,7 +99,7 @@ pub fn train(
         checkpoint,
         closing,
     } = folder;
-    let fitted = fit::fit(&capture, &config, session, budget, checkpoints, checkpoint);
+    let fitted = fit::fit(&capture, &configs, session, budget, checkpoints, checkpoint);
     let fitted = match fitted {
         Ok(fitted) => fitted,
         Err(error) => {
@@ -112,10 +115,10 @@ pub fn train(
         version: env!("CARGO_PKG_VERSION").into(),
         build: build().into(),
         preset: request.preset.name().into(),
-        seed: config.train.seed,
+        seed: configs.lit.train.seed,
         capture: std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()),
         inputs,
-        config,
+        config: configs.of(fitted.plan.kind).clone(),
         plan: Some(fitted.plan.clone()),
     };
     run::save(out, &run, &fitted.model)?;
@@ -142,17 +145,18 @@ pub fn train(
 /// Identity of a training, line by line: code, inputs and settings.
 fn identity(
     request: &TrainRequest,
-    config: &ObjectConfig,
+    configs: &ObjectConfigs,
     capture: &Capture,
     inputs: &[Input],
 ) -> Result<String, ObjectError> {
     let mut text = identity_of_program();
-    let seed = config.train.seed;
-    let config = toml::to_string(config).map_err(|error| ObjectError::Settings(error.to_string()))?;
+    let seed = configs.lit.train.seed;
+    let text_of = |config| toml::to_string(config).map_err(|error| ObjectError::Settings(error.to_string()));
+    let (radiance, lit) = (text_of(&configs.radiance)?, text_of(&configs.lit)?);
     // Writing to a String cannot fail.
     let _ = writeln!(
         text,
-        "--time-budget {:?}\n--memory {:?}\nseed = {seed}\n{config}",
+        "--time-budget {:?}\n--memory {:?}\nseed = {seed}\n{radiance}{lit}",
         request.time_budget, request.memory
     );
     for (frame, input) in capture.frames.iter().zip(inputs) {

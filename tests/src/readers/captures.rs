@@ -7,7 +7,7 @@ use heliosplat::model::olat::{Olat, OlatOptions};
 use heliosplat::model::radiance::RadianceOptions;
 use heliosplat::model::reflective::{Reflective, ReflectiveOptions};
 use heliosplat_exchange::splat_ply;
-use heliosplat_objects::config::ObjectConfig;
+use heliosplat_objects::config::ObjectConfigs;
 use heliosplat_objects::frame_spec::PointLight;
 use heliosplat_objects::model::{Kind, ObjectFile, ObjectImage, SCHEMA};
 use heliosplat_objects::pinhole::Pinhole;
@@ -217,7 +217,9 @@ pub(super) fn runs() -> Vec<Vec<u8>> {
         seed: 1,
         capture: "capture".into(),
         inputs: Vec::new(),
-        config: ObjectConfig::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1).unwrap_or_default(),
+        config: ObjectConfigs::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1)
+            .map(|configs| configs.radiance)
+            .unwrap_or_default(),
         plan: None,
     };
     vec![toml::to_string_pretty(&run).unwrap_or_default().into_bytes()]

@@ -10,7 +10,7 @@ use heliosplat::timeline;
 use heliosplat_fitting::request::TrainOutcome;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_fitting::settings::Preset;
-use heliosplat_objects::config::{Background, ObjectConfig};
+use heliosplat_objects::config::{Background, ObjectConfigs};
 use heliosplat_objects::model::{self, components};
 use heliosplat_objects::pixels::Encoding;
 use heliosplat_objects::run;
@@ -46,9 +46,9 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let lists = ["transforms.json", "transforms_train.json", "cameras.csv"].map(|name| args.scene.join(name));
     Inputs::of_files(lists.iter().chain([&args.scene])).keep_folder(&args.out)?;
     let preset = args.preset.map(Preset::from).unwrap_or_default();
-    let config = ObjectConfig::resolve(preset, &args.set, args.seed)?;
+    let configs = ObjectConfigs::resolve(preset, &args.set, args.seed)?;
     let request = args.request(preset, begun);
-    let (metrics, before) = match training::train(&args.scene, config, &request, session)? {
+    let (metrics, before) = match training::train(&args.scene, configs, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&args.out)?;
             (metrics, " (finished before)")
