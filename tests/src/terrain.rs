@@ -22,6 +22,8 @@ const PIXEL_CELLS: f64 = 2.0;
 const SAMPLES: usize = 2;
 /// Depth of a step along a ray, cells.
 const RAY_STEP_CELLS: f64 = 0.8;
+/// Times that the last step is halved.
+const HALVINGS: usize = 4;
 
 /// Cover of level ground.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -197,15 +199,26 @@ impl Terrain {
                 let inside = |s: usize| (s as f64 + 0.5) / SAMPLES as f64 - 0.5;
                 let x = ((index % size) as f64 - middle + inside(sample % SAMPLES)) * gsd_m;
                 let y = -((index / size) as f64 - middle + inside(sample / SAMPLES)) * gsd_m;
-                let mut height = f64::from(self.high_m);
-                let hit = loop {
+                let hit_at = |height: f64| {
                     let above = height - GROUND_M;
                     let cell = self.cell_of(x - tilt[0] * above, y - tilt[1] * above);
-                    if f64::from(self.height_m[cell]) >= height || height < f64::from(self.low_m) {
-                        break cell;
-                    }
-                    height -= RAY_STEP_CELLS * self.cell_m;
+                    (f64::from(self.height_m[cell]) >= height || height < f64::from(self.low_m)).then_some(cell)
                 };
+                let mut height = f64::from(self.high_m);
+                let mut hit = loop {
+                    match hit_at(height) {
+                        Some(cell) => break cell,
+                        None => height -= RAY_STEP_CELLS * self.cell_m,
+                    }
+                };
+                // The surface lies within the last step.
+                let mut step = RAY_STEP_CELLS * self.cell_m;
+                for _ in 0..HALVINGS {
+                    step /= 2.0;
+                    if let Some(cell) = hit_at(height + step) {
+                        (hit, height) = (cell, height + step);
+                    }
+                }
                 *value += lit[hit] / (SAMPLES * SAMPLES) as f32;
             }
         }
