@@ -14,18 +14,18 @@
 use crate::statistics::upper_median;
 use rayon::prelude::*;
 
-/// Weight of a step between neighbours (λ), per metre: chosen on three scenes, docs/lab/surface.md.
-const STEP_WEIGHT_PER_M: f32 = 0.5;
+/// Weight of a step between neighbours (λ), per cell of height, since the errors of matching grow with the cells:
+/// chosen on three scenes with cells of 0.3 to 0.5 m, tested on cells of up to 2.4 m (docs/lab/surface.md).
+const STEP_WEIGHT_PER_CELL: f32 = 0.25;
 /// Least deviation of an altitude, cells: smaller ones are within the noise of level ground.
 const LEAST_DEVIATION_CELLS: f32 = 0.8;
 /// Rows that one thread works on at a time, at least.
 const ROWS_PER_JOB: usize = 8;
 /// Iterations: twice as many change the mean error by less than a millimetre.
 const ITERATIONS: usize = 150;
-/// Step of the altitudes in the unit of a variance, metres²; that of the dual variables follows, since the norm of the
+/// Step of the altitudes in the unit of a variance, cells²; that of the dual variables follows, since the norm of the
 /// differences is 8.
-const PRIMAL_STEP: f32 = 1.0;
-const DUAL_STEP: f32 = 1.0 / (8.0 * PRIMAL_STEP);
+const PRIMAL_STEP_CELLS2: f32 = 4.0;
 
 /// Replaces altitudes, metres, by the most probable surface. The grid has rows of `width` cells of `cell_m` metres;
 /// `deviation_m` are the standard deviations of the altitudes, metres. Cells whose altitude is NaN stay unknown and
@@ -36,6 +36,9 @@ pub fn smooth_by_deviation(width: usize, cell_m: f32, altitude_m: &mut [f32], de
     let Some(middle) = upper_median(&mut known) else {
         return;
     };
+    let step_weight_per_m = STEP_WEIGHT_PER_CELL / cell_m;
+    let primal_step = PRIMAL_STEP_CELLS2 * cell_m * cell_m;
+    let dual_step = 1.0 / (8.0 * primal_step);
     let least_m2 = (LEAST_DEVIATION_CELLS * cell_m).powi(2);
     let given: Vec<f32> = altitude_m.iter().map(|z| z - middle).collect();
     let weight: Vec<f32> = (given.iter().zip(deviation_m))
@@ -53,7 +56,7 @@ pub fn smooth_by_deviation(width: usize, cell_m: f32, altitude_m: &mut [f32], de
     // Dual variables of the differences to the east and to the south; those to unknown cells stay zero.
     let (mut east, mut south) = (vec![0.0f32; given.len()], vec![0.0f32; given.len()]);
     let pulled = |dual: f32, difference: f32| match difference.is_finite() {
-        true => (dual + DUAL_STEP * difference).clamp(-STEP_WEIGHT_PER_M, STEP_WEIGHT_PER_M),
+        true => (dual + dual_step * difference).clamp(-step_weight_per_m, step_weight_per_m),
         false => 0.0,
     };
     for _ in 0..ITERATIONS {
@@ -79,7 +82,7 @@ pub fn smooth_by_deviation(width: usize, cell_m: f32, altitude_m: &mut [f32], de
                 let west = if col > 0 { east[i - 1] } else { 0.0 };
                 let north = if row > 0 { south[i - width] } else { 0.0 };
                 let pull = east[i] - west + south[i] - north;
-                let next = (found[col] + PRIMAL_STEP * (pull + weight[i] * given[i])) / (1.0 + PRIMAL_STEP * weight[i]);
+                let next = (found[col] + primal_step * (pull + weight[i] * given[i])) / (1.0 + primal_step * weight[i]);
                 ahead[col] = 2.0 * next - found[col];
                 found[col] = next;
             }
@@ -146,7 +149,7 @@ mod tests {
             let steps = |from: usize, to: usize| (x[from] - x[to]).abs();
             let east: f32 = (0..x.len()).filter(|i| i % WIDTH > 0).map(|i| steps(i, i - 1)).sum();
             let south: f32 = (WIDTH..x.len()).map(|i| steps(i, i - WIDTH)).sum();
-            data + STEP_WEIGHT_PER_M * (east + south)
+            data + STEP_WEIGHT_PER_CELL / 0.5 * (east + south)
         };
         let least = energy(&found);
         assert!(least < 0.5 * energy(&given), "{least} of {}", energy(&given));
@@ -158,6 +161,19 @@ mod tests {
                 assert!(energy(&moved) > least - 1e-2, "{i}, {by}");
             }
         }
+    }
+
+    #[test]
+    fn a_scene_of_coarse_cells_is_smoothed_as_its_miniature() {
+        let noise = |i: usize| ((i * 7919) % 101) as f32 / 50.0 - 1.0;
+        let given: Vec<f32> = house().iter().enumerate().map(|(i, z)| z - 100.0 + noise(i)).collect();
+        let mut fine = given.clone();
+        smooth_by_deviation(WIDTH, 0.5, &mut fine, &vec![1.0; WIDTH * WIDTH]);
+        let mut coarse: Vec<f32> = given.iter().map(|z| 4.0 * z).collect();
+        smooth_by_deviation(WIDTH, 2.0, &mut coarse, &vec![4.0; WIDTH * WIDTH]);
+        let pairs = fine.iter().zip(&coarse);
+        assert!(pairs.clone().all(|(fine, coarse)| (4.0 * fine - coarse).abs() < 1e-3));
+        assert!(pairs.zip(given).any(|((fine, _), given)| (fine - given).abs() > 0.5));
     }
 
     #[test]

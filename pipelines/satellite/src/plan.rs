@@ -89,7 +89,8 @@ impl Facts {
         let known = || images.iter().filter_map(|image| image.sun.position);
         let elevations = || known().map(|sun| sun.elevation_rad.to_degrees());
         let ground = GroundViews::new(scene, scene.training()).map_err(|error| error.to_string());
-        let index = Index::of(&images);
+        let cell_m = config.start.cell_gsd * scene.gsd_m;
+        let index = Index::of(&images, cell_m);
         Self {
             images: images.len(),
             dates: crop::date_groups(&images)
@@ -105,7 +106,7 @@ impl Facts {
                 .as_ref()
                 .map_or(Some(Vec::new()), GroundViews::days)
                 .map(|days| dividing_days(&days).len()),
-            matching: ground.map(|ground| ground.matching_facts(config.start.cell_gsd * scene.gsd_m)),
+            matching: ground.map(|ground| ground.matching_facts(cell_m)),
             index,
             clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()
                 / images.len().max(1) as f64,
@@ -537,6 +538,8 @@ mod tests {
     fn missing_bands_are_seen() {
         let mut scene = facts(2, 1);
         scene.index = Index::NoBands;
+        assert!(!on(&scene, &SatelliteConfig::default(), "start.vegetation_index"));
+        scene.index = Index::Coarse;
         assert!(!on(&scene, &SatelliteConfig::default(), "start.vegetation_index"));
     }
 

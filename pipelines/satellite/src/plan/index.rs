@@ -3,6 +3,11 @@
 use heliosplat_scene::indices::VegetationIndex;
 use heliosplat_scene::{SceneImage, Values};
 
+/// Diameter of the crown of a street tree, metres.
+const CROWN_M: f64 = 6.0;
+/// Cells across the window of the census.
+const WINDOW_CELLS: f64 = 5.0;
+
 /// Availability and kind of the vegetation index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Index {
@@ -10,6 +15,8 @@ pub(super) enum Index {
     NoBands,
     /// No index: the values are for display.
     ForDisplay,
+    /// No index: a window is wider than a crown, so that trees would raise the ground around them.
+    Coarse,
     /// Index of counts.
     Counts,
     /// Index of reflectance.
@@ -19,8 +26,8 @@ pub(super) enum Index {
 }
 
 impl Index {
-    /// The index that all images support.
-    pub(super) fn of(images: &[&SceneImage]) -> Self {
+    /// The index that all images support and that helps a sweep with cells of `cell_m` metres (docs/lab/surface.md).
+    pub(super) fn of(images: &[&SceneImage], cell_m: f64) -> Self {
         let of = |values: fn(&SceneImage) -> Option<VegetationIndex>| -> Option<Vec<VegetationIndex>> {
             images.iter().map(|image| values(image)).collect()
         };
@@ -30,6 +37,9 @@ impl Index {
                 None => Self::NoBands,
             };
         };
+        if WINDOW_CELLS * cell_m > CROWN_M {
+            return Self::Coarse;
+        }
         if indices.iter().any(|index| matches!(index, VegetationIndex::Green(_))) {
             return Self::Green;
         }
@@ -53,6 +63,7 @@ impl Index {
             Self::ForDisplay => {
                 "values are for display: their bands cannot be compared, and the sweep compares brightness alone"
             }
+            Self::Coarse => "tree crowns are narrower than the matching window: the sweep compares brightness alone",
             Self::Counts => "red and near infrared: separate leaves from pavement of equal brightness",
             Self::Reflectance => {
                 "reflectance of red and near infrared: separates leaves from pavement of equal brightness"
