@@ -20,7 +20,7 @@ test: setup
 	cargo test --locked --workspace --exclude heliosplat-python
 
 build: setup
-	cargo build --release --locked --package heliosplat-cli
+	cargo build --release --locked --package heliosplat
 
 setup:
 	@scripts/setup.sh
