@@ -5,7 +5,15 @@ use std::path::Path;
 use std::process::Command;
 
 /// Sources of the program, relative to the root of the checkout.
-const SOURCES: [&str; 7] = ["Cargo.lock", "Cargo.toml", "bin", "data-synth", "pipelines", "rpc", "src"];
+const SOURCES: [&str; 7] = [
+    "Cargo.lock",
+    "Cargo.toml",
+    "bin",
+    "data-synth",
+    "pipelines",
+    "rpc",
+    "src",
+];
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
