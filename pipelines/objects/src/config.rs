@@ -153,7 +153,10 @@ impl ObjectConfigs {
                 include_str!("../presets/fast.toml"),
                 Some(include_str!("../presets/fast_radiance.toml")),
             ),
-            Preset::Balanced => (include_str!("../presets/balanced.toml"), None),
+            Preset::Balanced => (
+                include_str!("../presets/balanced.toml"),
+                Some(include_str!("../presets/balanced_radiance.toml")),
+            ),
             Preset::Accurate => (include_str!("../presets/accurate.toml"), None),
             Preset::Preview | Preset::Best => {
                 return Err(ConfigError::Value {
