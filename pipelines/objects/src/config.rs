@@ -131,7 +131,7 @@ pub struct ObjectConfig {
 }
 
 /// Configurations of a run by kind of model: a step of `radiance` takes a fraction of the time of the other kinds, so
-/// its `fast` has more Gaussians and more steps.
+/// its `fast` and `balanced` have more Gaussians and more steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectConfigs {
     /// Configuration for `radiance`.
@@ -151,13 +151,16 @@ impl ObjectConfigs {
         let (lit, radiance) = match preset {
             Preset::Fast => (
                 include_str!("../presets/fast.toml"),
-                Some(include_str!("../presets/fast_radiance.toml")),
+                include_str!("../presets/fast_radiance.toml"),
             ),
             Preset::Balanced => (
                 include_str!("../presets/balanced.toml"),
-                Some(include_str!("../presets/balanced_radiance.toml")),
+                include_str!("../presets/balanced_radiance.toml"),
             ),
-            Preset::Accurate => (include_str!("../presets/accurate.toml"), None),
+            Preset::Accurate => (
+                include_str!("../presets/accurate.toml"),
+                include_str!("../presets/accurate.toml"),
+            ),
             Preset::Preview | Preset::Best => {
                 return Err(ConfigError::Value {
                     key: "preset".into(),
@@ -172,15 +175,8 @@ impl ObjectConfigs {
             config.model.checked()?;
             Ok(config)
         };
-        let lit = of(lit)?;
-        let radiance = match radiance {
-            Some(text) => {
-                let mut radiance = of(text)?;
-                radiance.train.own_rate_steps = RADIANCE_RATE_STEPS;
-                radiance
-            }
-            None => lit.clone(),
-        };
+        let (lit, mut radiance) = (of(lit)?, of(radiance)?);
+        radiance.train.own_rate_steps = RADIANCE_RATE_STEPS;
         Ok(Self { radiance, lit })
     }
 

@@ -106,7 +106,10 @@ impl Facts {
                 .as_ref()
                 .map_or(Some(Vec::new()), GroundViews::days)
                 .map(|days| dividing_days(&days).len()),
-            matching: ground.map(|ground| ground.matching_facts(cell_m)),
+            matching: ground.map(|ground| MatchingFacts {
+                has_index: index.is_there(),
+                ..ground.matching_facts(cell_m)
+            }),
             index,
             clipped: images.iter().map(|image| saturation::share(&image.pixels)).sum::<f64>()
                 / images.len().max(1) as f64,

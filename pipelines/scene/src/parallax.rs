@@ -40,7 +40,7 @@ impl SceneImage {
         if ray.z > 0.0 { -ray } else { ray }
     }
 
-    /// True if the two files have equal values wherever both were read.
+    /// True if the two files have equal values, and the same missing ones, wherever both were read.
     fn has_pixels_of(&self, other: &Self) -> bool {
         let (a, b) = (&self.window, &other.window);
         let cols = a.col0.max(b.col0)..(a.col0 + a.width).min(b.col0 + b.width);
@@ -49,14 +49,16 @@ impl SceneImage {
             let (col, row) = (col - image.window.col0, row - image.window.row0);
             image.pixels.at(band, col, row)
         };
-        let is_alike = |band: usize, place: (usize, usize)| {
+        let mut is_compared = false;
+        let mut is_alike = |band: usize, place: (usize, usize)| {
             let (a, b) = (value(self, band, place), value(other, band, place));
+            is_compared |= a == b;
             a == b || (a.is_nan() && b.is_nan())
         };
         let bands = self.pixels.bands;
         let mut places = rows.clone().flat_map(|row| cols.clone().map(move |col| (col, row)));
-        let is_shared = bands == other.pixels.bands && !rows.is_empty() && !cols.is_empty();
-        is_shared && places.all(|place| (0..bands).all(|band| is_alike(band, place)))
+        let is_alike = bands == other.pixels.bands && places.all(|place| (0..bands).all(|band| is_alike(band, place)));
+        is_alike && is_compared
     }
 
     /// Displacement of the ray through the scene's centre per metre of altitude, metres east and north.

@@ -15,6 +15,8 @@ use std::cmp::Ordering;
 
 /// Cells from the centre to the edge of the window.
 pub(super) const RADIUS: usize = 2;
+/// Cells across the window.
+pub const CENSUS_CELLS: usize = 2 * RADIUS + 1;
 /// Number of neighbours compared: all of the 5 × 5 window. Every other cell of a 7 × 7 window blurs edges more
 /// (docs/lab/plane-sweep.md).
 pub(super) const COMPARISONS: u32 = 24;

@@ -62,6 +62,7 @@ mod visibility;
 mod volume;
 mod wta;
 
+pub use census::CENSUS_CELLS;
 pub use heights::height_levels;
 pub use pairs::{Widest, weight_of_geometry, widest_base};
 pub use parameters::{CandidateTolerance, FEW_VIEWS, MANY_VIEWS, MatchingFacts, MatchingParameters, no_match_weight};

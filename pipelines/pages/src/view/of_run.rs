@@ -16,6 +16,7 @@ use heliosplat_products::{dsm, ortho};
 use heliosplat_raster::preview::percentiles;
 use heliosplat_raster::{GeoRaster, dsm_bands};
 use heliosplat_satellite::run_file::load_run;
+use std::ffi::OsStr;
 use std::path::Path;
 
 /// Most dates whose shadows are traced, and most images that are shown; a longer list is sampled evenly.
@@ -58,18 +59,19 @@ pub fn of_run(folder: &Path) -> Result<Exhibit, ViewError> {
 fn title(folder: &Path) -> String {
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     let scene = load_run(folder).map(|run| run.scene).unwrap_or(whole);
-    let name = |path: &'_ Path| {
-        if path.is_dir() {
-            path.file_name()
-        } else {
-            path.file_stem()
-        }
-        .map(ToOwned::to_owned)
-    };
-    let names: Vec<_> = scene.ancestors().filter_map(name).take(2).collect();
+    let names: Vec<_> = scene.ancestors().filter_map(name_of).take(2).collect();
     // `scene` is a generic name; the folder around it is specific.
-    let name = names.iter().find(|name| *name != "scene").or(names.first());
+    let name = names.iter().find(|name| **name != "scene").or(names.first());
     name.map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Name of a folder, or of a file without its extension.
+fn name_of(path: &Path) -> Option<&OsStr> {
+    if path.is_dir() {
+        path.file_name()
+    } else {
+        path.file_stem()
+    }
 }
 
 /// Dates of the model with their traced shadows.

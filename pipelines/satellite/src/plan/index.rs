@@ -2,11 +2,10 @@
 
 use heliosplat_scene::indices::VegetationIndex;
 use heliosplat_scene::{SceneImage, Values};
+use heliosplat_stereo::CENSUS_CELLS;
 
 /// Diameter of the crown of a street tree, metres.
 const CROWN_M: f64 = 6.0;
-/// Cells across the window of the census.
-const WINDOW_CELLS: f64 = 5.0;
 
 /// Availability and kind of the vegetation index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,7 +36,7 @@ impl Index {
                 None => Self::NoBands,
             };
         };
-        if WINDOW_CELLS * cell_m > CROWN_M {
+        if CENSUS_CELLS as f64 * cell_m > CROWN_M {
             return Self::Coarse;
         }
         if indices.iter().any(|index| matches!(index, VegetationIndex::Green(_))) {
