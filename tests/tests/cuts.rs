@@ -4,11 +4,12 @@
 use heliosplat_raster::write::{ImageSpec, SampleType, write_geotiff};
 use heliosplat_raster::{RasterFile, Window};
 use heliosplat_rpc::write::gdal_domain;
-use heliosplat_tests::program::{fault, heliosplat, json};
+use heliosplat_tests::program::{binary, fault, heliosplat, json};
 use heliosplat_tests::scenes::{Shows, View, write_scene};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use tempfile::{TempDir, tempdir};
 
 fn text(path: &Path) -> String {
@@ -170,4 +171,36 @@ fn a_run_whose_scene_is_gone_is_rendered_without_it() {
     let line = fault(&["evaluate", &text(&trained.run)], 2);
     assert!(line.contains(&text(&trained.scene)), "{line}");
     heliosplat(&["report", &text(&trained.run)]).assert().success();
+}
+
+/// Number of times that a command opens each of three images, counted by strace; `None` without strace.
+fn opens(words: &[&str]) -> Option<Vec<usize>> {
+    let home = tempdir().expect("a temporary folder");
+    let log = text(&home.path().join("opens"));
+    let traced = Command::new("strace")
+        .args(["-f", "-e", "trace=open,openat,openat2", "-o", &log])
+        .arg(binary())
+        .args(words)
+        .output();
+    traced.is_ok_and(|output| output.status.success()).then(|| {
+        let log = fs::read_to_string(&log).expect("a log");
+        let of_image = |number: usize| log.matches(&format!("/view_{number}.tif\"")).count();
+        (0..3).map(of_image).collect()
+    })
+}
+
+#[test]
+fn an_image_is_opened_at_most_twice_by_inspect_and_three_times_by_a_training() {
+    let home = tempdir().expect("a temporary folder");
+    let (scene, run) = (text(&home.path().join("scene")), text(&home.path().join("run")));
+    fs::create_dir(&scene).expect("made");
+    write_scene(Path::new(&scene), &[0, 1, 2].map(View::new));
+    let Some(inspected) = opens(&["inspect", &scene]) else {
+        eprintln!("skipped: strace is not there, or may not trace");
+        return;
+    };
+    assert_eq!(inspected, [2; 3]);
+    let words = ["train", &scene, "--out", &run, "--preset", "preview"];
+    let set = ["--altitude", "690,710", "--set", "train.iterations=12"];
+    assert_eq!(opens(&[&words[..], &set].concat()), Some(vec![3; 3]));
 }

@@ -8,9 +8,11 @@
 use gdal::{Driver, DriverManager, config};
 use std::sync::OnceLock;
 
-/// The registered formats. Those that name other files or addresses (VRT, WMS, HTTP, DIMAP, PCIDSK, PDF …) are not
-/// among them. `COG` is for writing alone.
-const DRIVERS: [&str; 22] = [
+/// Erdas Imagine. The pixels of such a file may be in another folder, so that it is checked before GDAL opens it.
+pub(super) const HFA: &str = "HFA";
+/// The other registered formats. Those that name other files or addresses (VRT, WMS, HTTP, DIMAP, PCIDSK, PDF …) are
+/// not among them. `COG` is for writing alone.
+pub(super) const DRIVERS: [&str; 21] = [
     "GTiff",
     "LIBERTIFF",
     "COG",
@@ -20,7 +22,6 @@ const DRIVERS: [&str; 22] = [
     "JP2MrSID",
     "JP2Lura",
     "NITF",
-    "HFA",
     "ENVI",
     "EHdr",
     "PNG",
@@ -48,7 +49,7 @@ const OPTIONS: [(&str, &str); 2] = [
 /// could read any address.
 static MEMORY: OnceLock<usize> = OnceLock::new();
 
-/// Sets GDAL's options and deregisters all drivers but [`DRIVERS`]; once, before the first use of GDAL.
+/// Sets GDAL's options and deregisters all drivers but [`DRIVERS`] and [`HFA`]; once, before the first use of GDAL.
 #[allow(unsafe_code, reason = "the crate gdal keeps no driver that is not registered")]
 pub(super) fn restrict() {
     for (key, value) in OPTIONS {
@@ -63,11 +64,15 @@ pub(super) fn restrict() {
     }
     for index in (0..DriverManager::count()).rev() {
         if let Ok(driver) = DriverManager::get_driver(index)
-            && !DRIVERS.contains(&driver.short_name().as_str())
+            && !is_registered(&driver.short_name())
         {
             DriverManager::deregister_driver(&driver);
         }
     }
+}
+
+fn is_registered(name: &str) -> bool {
+    name == HFA || DRIVERS.contains(&name)
 }
 
 /// The driver of rasters in memory.
@@ -93,7 +98,7 @@ mod tests {
         messages::install();
         for index in 0..DriverManager::count() {
             let name = DriverManager::get_driver(index).expect("a driver").short_name();
-            assert!(DRIVERS.contains(&name.as_str()), "{name}");
+            assert!(is_registered(&name), "{name}");
         }
         assert_eq!(memory().expect("in memory").short_name(), "MEM");
     }

@@ -3,7 +3,7 @@
 use super::pansharpen::Pansharpening;
 use super::stacked::Stack;
 use super::tiled::Mosaic;
-use super::{BandInfo, Colour, Crs, GeoTransform, RasterError, Window, bounded, masks, messages, siblings};
+use super::{BandInfo, Colour, Crs, GeoTransform, RasterError, Window, bounded, drivers, masks, messages, siblings};
 use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 use heliosplat::Raster;
@@ -103,23 +103,28 @@ impl RasterFile {
         let siblings = siblings
             .as_ref()
             .map(|names| names.iter().map(String::as_str).collect::<Vec<_>>());
-        let dataset = messages::collect(|| {
-            Dataset::open_ex(
-                path,
-                DatasetOptions {
-                    open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
-                    sibling_files: siblings.as_deref(),
-                    ..DatasetOptions::default()
-                },
-            )
-        })
-        .map_err(|_| {
-            if names_other_files(path) {
-                not_an_image("a virtual raster names other files; make a GeoTIFF of it with gdal_translate".to_owned())
-            } else {
-                not_an_image("its format is not recognised".to_owned())
+        let open = |drivers: &[&str]| {
+            let options = DatasetOptions {
+                open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
+                allowed_drivers: Some(drivers),
+                sibling_files: siblings.as_deref(),
+                ..DatasetOptions::default()
+            };
+            messages::collect(|| Dataset::open_ex(path, options))
+        };
+        let hfa = || {
+            if !is_virtual(path) {
+                siblings::check_pixels(path)?;
             }
-        })?;
+            let open = open(&[drivers::HFA]);
+            open.map_err(|_| match names_other_files(path) {
+                true => not_an_image(
+                    "a virtual raster names other files; make a GeoTIFF of it with gdal_translate".to_owned(),
+                ),
+                false => not_an_image("its format is not recognised".to_owned()),
+            })
+        };
+        let dataset = open(&drivers::DRIVERS).or_else(|_| hfa())?;
         if dataset.raster_count() == 0 {
             return Err(not_an_image("it has no bands".to_owned()));
         }

@@ -19,13 +19,8 @@ const TEXT_NAMES: [&str; 5] = ["rpc", "metadata", "mtl", "summary", "hdr"];
 const NODES_MAX: usize = 100_000;
 
 /// Names of the files in an image's folder, for GDAL, which otherwise lists the folder itself; `None` where it cannot
-/// be listed. Refuses an image that is no regular file, cannot be read, or has a file beside it that must not be
-/// opened.
+/// be listed. Refuses an image that is no regular file or has a file beside it that must not be opened.
 pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
-    let unreadable = |path: &Path, reason: String| RasterError::Unreadable {
-        path: path.to_owned(),
-        reason,
-    };
     let Ok(known) = fs::metadata(path) else {
         return Err(RasterError::Missing(path.to_owned()));
     };
@@ -35,11 +30,6 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
             path: path.to_owned(),
             reason: "it is a folder, a device or a pipe".to_owned(),
         });
-    }
-    let file = File::open(path).map_err(|error| unreadable(path, format!("{error}; check its permissions")))?;
-    if hfa_leads_away(file).unwrap_or(false) {
-        let reason = "its pixels are in another folder; make a GeoTIFF of it with gdal_translate";
-        return Err(unreadable(path, reason.to_owned()));
     }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let Ok(entries) = fs::read_dir(folder.unwrap_or_else(|| Path::new("."))) else {
@@ -79,6 +69,25 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
         }
     }
     Ok(Some(names))
+}
+
+fn unreadable(path: &Path, reason: String) -> RasterError {
+    RasterError::Unreadable {
+        path: path.to_owned(),
+        reason,
+    }
+}
+
+/// Refuses a file that cannot be read, and an HFA file whose pixels are in another folder.
+pub(super) fn check_pixels(path: &Path) -> Result<(), RasterError> {
+    let file = File::open(path).map_err(|error| unreadable(path, format!("{error}; check its permissions")))?;
+    match hfa_leads_away(file) {
+        Some(true) => {
+            let reason = "its pixels are in another folder; make a GeoTIFF of it with gdal_translate";
+            Err(unreadable(path, reason.to_owned()))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// True if the pixels of an HFA file (Erdas Imagine) are in a file of another folder: the node `ExternalRasterDMS`
