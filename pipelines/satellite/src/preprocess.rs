@@ -13,7 +13,7 @@ use heliosplat::timeline::stage;
 use heliosplat_radiometry::bridged::{self, Lowered};
 use heliosplat_radiometry::change;
 use heliosplat_radiometry::suns::ShadowSun;
-use heliosplat_scene::{AltitudeSource, ImageSun, Index, IngestOptions, Scene, SceneImage};
+use heliosplat_scene::{AltitudeSource, ImageSun, Index, IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::change::Changes;
 use heliosplat_stereo::{MatchingParameters, PlaneSweepRequest, Surface, SweepView, plane_sweep};
@@ -70,17 +70,22 @@ impl<'a> Preprocess<'a> {
             .ok_or_else(|| SatelliteError::too_few_views(images))?;
         let request = ground.request(config.start.cell_gsd * scene.gsd_m, matching);
         tracing::debug!(parameters = ?matching, "matching");
+        let known = known_corrections(&ground, &config.cameras);
+        let is_known = known.is_some();
+        let (mut shifts_px, mut left_out) = known.unwrap_or_else(|| (vec![[0.0; 2]; images], Vec::new()));
         let part = stage("clouds");
-        let (mut rasters, mut clouds) = clear_rasters(&ground, decisions, &vec![[0.0; 2]; images], &request);
+        let (mut rasters, mut clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
         ground.check_contrast(&rasters)?;
         drop(part);
-        let part = stage("ties");
-        let (shifts_px, left_out) = align(&ground, &rasters, &config.cameras, matching, scene.gsd_m);
-        drop(part);
-        if decisions.clouds && shifts_px.iter().flatten().any(|shift| shift.abs() > CLOUDS_AGAIN_PX) {
-            let _part = stage("clouds");
-            tracing::info!("Searching clouds again with the corrected cameras");
-            (rasters, clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
+        if !is_known && config.cameras.align != Align::Off {
+            let part = stage("ties");
+            (shifts_px, left_out) = align(&ground, &rasters, config.cameras.align, matching, scene.gsd_m);
+            drop(part);
+            if decisions.clouds && shifts_px.iter().flatten().any(|shift| shift.abs() > CLOUDS_AGAIN_PX) {
+                let _part = stage("clouds");
+                tracing::info!("Searching clouds again with the corrected cameras");
+                (rasters, clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
+            }
         }
         clouds::leave_out(&mut rasters, &mut clouds, &left_out);
         clouds::log_shares(&ground, &clouds, &left_out);
@@ -319,29 +324,29 @@ pub fn open_and_sweep(
     Ok((scene, surface))
 }
 
-/// Pointing correction of each image (columns, rows; pixels), zero where the configuration excludes them or all are
-/// small; and a flag for each image, true if it is left out because its ties contradict its camera (empty
-/// where no image is).
+/// Pointing correction of each image (columns, rows; pixels), and a flag for each image that is left out because its
+/// ties contradict its camera; no flags where no image is left out.
+type Corrections = (Vec<[f32; 2]>, Vec<bool>);
+
+/// Corrections in the configuration; `None` if it has none.
+fn known_corrections(ground: &GroundViews, cameras: &CameraOptions) -> Option<Corrections> {
+    let names = || ground.images.iter().map(|image| &image.name);
+    let shift = |name| cameras.shifts_px.get(name).copied().unwrap_or_default();
+    let is_known = !(cameras.shifts_px.is_empty() && cameras.left_out.is_empty());
+    is_known.then(|| {
+        let left_out = names().map(|name| cameras.left_out.contains(name));
+        (names().map(shift).collect(), left_out.collect())
+    })
+}
+
+/// Corrections by the ties of the images, zero where they are small or the ties are too few.
 fn align(
     ground: &GroundViews,
     rasters: &[Raster],
-    cameras: &CameraOptions,
+    align: Align,
     matching: MatchingParameters,
     gsd_m: f64,
-) -> (Vec<[f32; 2]>, Vec<bool>) {
-    let (align, known) = (cameras.align, &cameras.shifts_px);
-    if !(known.is_empty() && cameras.left_out.is_empty()) {
-        let shift = |image: &&SceneImage| known.get(&image.name).copied().unwrap_or_default();
-        let is_out = |image: &&SceneImage| cameras.left_out.contains(&image.name);
-        return (
-            ground.images.iter().map(shift).collect(),
-            ground.images.iter().map(is_out).collect(),
-        );
-    }
-    let none = (vec![[0.0; 2]; ground.images.len()], Vec::new());
-    if align == Align::Off {
-        return none;
-    }
+) -> Corrections {
     match adjust::adjustment_of_ties(ground, rasters, matching, gsd_m, true) {
         Ok(adjustment) => {
             let left_out = adjust::left_out(ground, &adjustment);
@@ -349,7 +354,7 @@ fn align(
         }
         Err(error) => {
             tracing::warn!("Too few tie points to refine the cameras; using them as delivered ({error})");
-            none
+            (vec![[0.0; 2]; ground.images.len()], Vec::new())
         }
     }
 }
