@@ -1,6 +1,7 @@
 //! Surface model of an area or of a block of it, merged from the surface models of its tiles.
 
 use super::BatchError;
+use super::blocks::overlap;
 use super::plan::{MosaicTile, MosaicWork};
 use super::stamp::Done;
 use heliosplat::Raster;
@@ -51,42 +52,70 @@ pub(super) fn grid_of([west, south, east, north]: [f64; 4], gsd_m: f64, crs: &st
     })
 }
 
-/// Blends the surface models of tiles; heights of the mosaic are above the ellipsoid.
+/// Blends the surface models of tiles; heights of the mosaic are above the ellipsoid. Only the altitudes of the ground
+/// around the mosaic are kept, and each side of it is blended by itself, so that it adds little memory.
 ///
 /// # Errors
 /// When a tile cannot be read or the coordinate reference system is unknown.
 pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
-    let around = grid_of(work.around, work.gsd_m, &work.crs)?;
-    let whole = [[0, around.width as isize], [0, around.height as isize]];
-    let places = Places::of(work.around, work.gsd_m);
-    let mut parts = Parts::default();
-    for tile in &work.tiles {
-        parts.read(out, tile, &places, whole)?;
-    }
     let grid = grid_of(work.bounds, work.gsd_m, &work.crs)?;
-    let raster = blend(&parts.pieces, (around.width, around.height), work.gsd_m as f32);
-    let [col, row] = places.cells([work.bounds[0], work.bounds[3]]);
-    let around = Surroundings {
-        altitude: raster.band(0),
-        at: (col.max(0) as usize, row.max(0) as usize),
-    };
-    for piece in &mut parts.pieces {
-        piece.shift([-col, -row]);
+    let whole = grid_of(work.around, work.gsd_m, &work.crs)?;
+    let places = Places::of(work.around, work.gsd_m);
+    let mut altitude = Raster::filled(whole.width, whole.height, 1, f32::NAN);
+    for side in sides(work.around, work.bounds) {
+        let (_, blended) = blended(out, work, side)?;
+        paste(&mut altitude, &blended, places.cells([side[0], side[3]]));
     }
-    parts.keep(|piece| {
-        let inside = |axis: usize, cells: usize| piece.bounds[axis][0] < cells as isize && piece.bounds[axis][1] > 0;
-        inside(0, grid.width) && inside(1, grid.height)
-    });
+    let (parts, raster) = blended(out, work, work.bounds)?;
+    let at = places.cells([work.bounds[0], work.bounds[3]]);
+    paste(&mut altitude, &raster, at);
     Ok(Mosaic {
         dsm: Dsm {
-            raster: around.inner(&raster, (grid.width, grid.height)),
+            raster,
             grid: grid.clone(),
             geoid: None,
         },
         grid,
         parts,
-        around,
+        around: Surroundings {
+            altitude,
+            at: (at[0].max(0) as usize, at[1].max(0) as usize),
+        },
     })
+}
+
+/// Parts of the tiles within bounds (west, south, east, north), and their blended surface model.
+fn blended(out: &Path, work: &MosaicWork, bounds: [f64; 4]) -> Result<(Parts, Raster), BatchError> {
+    let places = Places::of(bounds, work.gsd_m);
+    let span = places.span(bounds);
+    let mut parts = Parts::default();
+    for tile in work.tiles.iter().filter(|tile| overlap(&tile.bounds, &bounds)) {
+        parts.read(out, tile, &places, span)?;
+    }
+    let [width, height] = span.map(|[_, end]| end as usize);
+    let raster = blend(&parts.pieces, (width, height), work.gsd_m as f32);
+    Ok((parts, raster))
+}
+
+/// Bounds of the ground in `around` on the four sides of `inner`, those that have any (west, south, east, north).
+fn sides(around: [f64; 4], inner: [f64; 4]) -> impl Iterator<Item = [f64; 4]> {
+    let [west, south, east, north] = around;
+    let sides = [
+        [west, inner[3], east, north],
+        [west, south, east, inner[1]],
+        [west, inner[1], inner[0], inner[3]],
+        [inner[2], inner[1], east, inner[3]],
+    ];
+    sides.into_iter().filter(|side| side[0] < side[2] && side[1] < side[3])
+}
+
+/// Copies the first band of `part` into `raster`, from a column and a row on.
+fn paste(raster: &mut Raster, part: &Raster, [col, row]: [isize; 2]) {
+    let rows = part.plane(0).chunks_exact(part.width);
+    let (col, row, width) = (col.max(0) as usize, row.max(0) as usize, raster.width);
+    for (line, values) in raster.values.chunks_exact_mut(width).skip(row).zip(rows) {
+        line[col..col + values.len()].copy_from_slice(values);
+    }
 }
 
 /// Columns and rows from a north-western corner.
@@ -165,19 +194,6 @@ impl Parts {
             bounds: places.span(tile.bounds),
         });
         Ok(())
-    }
-
-    /// Drops all pieces but those of `is_kept`.
-    fn keep(&mut self, is_kept: impl Fn(&Piece) -> bool) {
-        let kept: Vec<bool> = self.pieces.iter().map(is_kept).collect();
-        let flags = || {
-            let mut kept = kept.iter();
-            move || kept.next() == Some(&true)
-        };
-        let (mut pieces, mut tiles, mut windows) = (flags(), flags(), flags());
-        self.pieces.retain(|_| pieces());
-        self.tiles.retain(|_| tiles());
-        self.windows.retain(|_| windows());
     }
 
     /// Reads the raster `name` of each tile on the cells of its piece; `None` for tiles without it.

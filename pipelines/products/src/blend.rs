@@ -30,16 +30,6 @@ pub struct Piece {
 }
 
 impl Piece {
-    /// Moves the origin of the mosaic by this many columns and rows to the north-west.
-    pub fn shift(&mut self, by: [isize; 2]) {
-        for axis in 0..2 {
-            self.at[axis] += by[axis];
-            for span in [&mut self.core, &mut self.bounds] {
-                span[axis] = span[axis].map(|at| at + by[axis]);
-            }
-        }
-    }
-
     /// Value of a band at a cell of the mosaic; NaN outside the piece.
     pub fn value(&self, band: usize, col: isize, row: isize) -> f32 {
         self.value_of(&self.raster, band, col, row)
