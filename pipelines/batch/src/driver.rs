@@ -12,6 +12,7 @@ use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_pages::summary::{Row, State};
 use heliosplat_session::Progress;
 use heliosplat_session::Session;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};
@@ -91,12 +92,13 @@ impl Batch<'_> {
             .iter()
             .map(|unit| unit.after.iter().map(place).collect())
             .collect::<Result<Vec<Vec<usize>>, _>>()?;
+        let order = order(units);
         let progress = session.progress("units", units.len() as u64);
         let mut running: Vec<Running> = Vec::new();
         let mut looks = 0;
         loop {
             if !session.stopped() {
-                self.start(&waits, &mut rows, &mut running, session)?;
+                self.start((&waits, &order), &mut rows, &mut running, session)?;
             } else {
                 // Their input ends: they save their state and exit.
                 running.iter_mut().for_each(|r| drop(r.child.stdin.take()));
@@ -125,40 +127,51 @@ impl Batch<'_> {
         Ok(rows)
     }
 
-    /// Starts units in the order of the plan until `jobs` of them run. `waits` lists, for each unit, the indices of the
-    /// units that must be done before; they precede it in the plan. Units that wait for a lost one are blocked.
+    /// Starts units until `jobs` of them run. `waits` lists, for each unit, the indices of the units that must be done
+    /// before; units that wait for a lost one are blocked. `order` lists the units by urgency.
     fn start<'u>(
         &'u self,
-        waits: &[Vec<usize>],
+        (waits, order): (&[Vec<usize>], &[usize]),
         rows: &mut [Row],
         running: &mut Vec<Running<'u>>,
         session: &Session,
     ) -> Result<(), BatchError> {
-        for (place, (unit, after)) in self.plan.units.iter().zip(waits).enumerate() {
-            if rows[place].state != State::Pending {
-                continue;
-            }
-            if let Some(lost) = after.iter().find(|other| rows[**other].state.is_lost()) {
+        if running.len() >= self.jobs {
+            return Ok(());
+        }
+        for (place, after) in waits.iter().enumerate() {
+            if rows[place].state == State::Pending
+                && let Some(lost) = after.iter().find(|other| rows[**other].state.is_lost())
+            {
                 rows[place].state = State::Blocked;
                 rows[place].error = Some(format!("{} failed", self.plan.units[*lost].id));
-            } else if running.len() < self.jobs && after.iter().all(|other| rows[*other].state.is_done()) {
-                let child = self.spawn(unit)?;
-                rows[place].state = State::Running;
-                tracing::info!("{}: started", unit.id);
-                running.push(Running {
-                    unit,
-                    place,
-                    child,
-                    begun: Instant::now(),
-                    line: session.watch(&unit.id),
-                });
             }
+        }
+        let free = self.jobs - running.len();
+        let is_ready = |&&place: &&usize| {
+            rows[place].state == State::Pending && waits[place].iter().all(|other| rows[*other].state.is_done())
+        };
+        let ready: Vec<usize> = order.iter().filter(is_ready).take(free).copied().collect();
+        // Units have the threads of jobs for which there is no unit.
+        let threads = self.threads / (running.len() + ready.len()).max(1);
+        for place in ready {
+            let unit = &self.plan.units[place];
+            let child = self.spawn(unit, threads.max(1))?;
+            rows[place].state = State::Running;
+            tracing::info!("{}: started", unit.id);
+            running.push(Running {
+                unit,
+                place,
+                child,
+                begun: Instant::now(),
+                line: session.watch(&unit.id),
+            });
         }
         Ok(())
     }
 
     /// Starts a unit in a process of its own, with its log in its folder.
-    fn spawn(&self, unit: &Unit) -> Result<Child, BatchError> {
+    fn spawn(&self, unit: &Unit, threads: usize) -> Result<Child, BatchError> {
         let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", unit.id));
         create_folder(&self.out.join(&unit.id))?;
         let path = log_of(self.out, unit);
@@ -169,7 +182,7 @@ impl Batch<'_> {
             .map_err(|error| failed(format!("its log cannot be written ({error})")))?;
         let program =
             std::env::current_exe().map_err(|error| failed(format!("this program is not found ({error})")))?;
-        let threads = (self.threads / self.jobs).max(1).to_string();
+        let threads = threads.to_string();
         let every = format!("{}s", self.checkpoint_every.as_secs_f64());
         Command::new(program)
             .arg("batch")
@@ -214,6 +227,21 @@ impl Batch<'_> {
     }
 }
 
+/// Indices of the units by urgency: preset after preset, and of a preset the longest units first, so that all jobs have
+/// work until the end.
+fn order(units: &[Unit]) -> Vec<usize> {
+    let home = |unit: &Unit| unit.id.rsplit_once('/').map_or("", |(home, _)| home).to_owned();
+    let mut first = BTreeMap::new();
+    let homes: Vec<usize> = units
+        .iter()
+        .enumerate()
+        .map(|(place, unit)| *first.entry(home(unit)).or_insert(place))
+        .collect();
+    let mut order: Vec<usize> = (0..units.len()).collect();
+    order.sort_by_key(|&place| (homes[place], Reverse(units[place].runtime_s)));
+    order
+}
+
 /// Last [`TAIL`] bytes of a log, as text; empty if it cannot be read.
 fn tail(path: &Path) -> String {
     let read = || -> std::io::Result<Vec<u8>> {
@@ -238,4 +266,32 @@ fn last_error(path: &Path) -> Option<String> {
     let text = tail(path);
     let line = text.lines().rev().find_map(|line| line.strip_prefix("error: "));
     line.map(str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Work;
+
+    #[test]
+    fn the_longest_tiles_of_a_preset_are_first_and_presets_follow_each_other() {
+        let unit = |id: &str, runtime_s| Unit {
+            id: id.into(),
+            work: Work::Refused { reason: String::new() },
+            after: Vec::new(),
+            mem_mb: 0,
+            runtime_s,
+            key: String::new(),
+            deliver: None,
+        };
+        let units = [
+            unit("a/i/adjust", 9),
+            unit("a/i/sweep/tile-r0c0", 20),
+            unit("a/i/sweep/tile-r0c1", 30),
+            unit("a/i/sweep/tile-r1c0", 20),
+            unit("a/i/sweep/mosaic", 5),
+            unit("a/i/fast/tile-r0c0", 90),
+        ];
+        assert_eq!(order(&units), [0, 2, 1, 3, 4, 5]);
+    }
 }
