@@ -147,15 +147,14 @@ impl Batch<'_> {
                 rows[place].error = Some(format!("{} failed", self.plan.units[*lost].id));
             }
         }
-        let free = self.jobs - running.len();
         let is_ready = |&&place: &&usize| {
             rows[place].state == State::Pending && waits[place].iter().all(|other| rows[*other].state.is_done())
         };
-        let ready: Vec<usize> = order.iter().filter(is_ready).take(free).copied().collect();
-        // Units have the threads of jobs for which there is no unit.
-        let threads = self.threads / (running.len() + ready.len()).max(1);
-        for place in ready {
+        let ready: Vec<usize> = order.iter().filter(is_ready).copied().collect();
+        for (started, &place) in ready.iter().enumerate().take(self.jobs - running.len()) {
             let unit = &self.plan.units[place];
+            // The last units have more threads than their share: the jobs beside them end before.
+            let threads = self.threads / self.jobs.min(ready.len() - started);
             let child = self.spawn(unit, threads.max(1))?;
             rows[place].state = State::Running;
             tracing::info!("{}: started", unit.id);
