@@ -8,7 +8,7 @@
 //! images confirms it, or widens it where its surface lies at a limit.
 
 use super::ground::GroundViews;
-use super::limits::AtLimits;
+use super::limits::CellCounts;
 use heliosplat_grid::statistics::quantile;
 use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use heliosplat_scene::cameras::SceneCameras;
@@ -68,7 +68,7 @@ pub fn open(index: &Index, options: &IngestOptions) -> Result<Scene, SceneError>
             break;
         }
         let wider =
-            coarse_sweep(&scene).and_then(|surface| AtLimits::of(&surface, &scene).wider(scene.altitude_range_m));
+            coarse_sweep(&scene).and_then(|surface| CellCounts::of(&surface, &scene).wider(scene.altitude_range_m));
         let Some(range_m) = wider else {
             break;
         };

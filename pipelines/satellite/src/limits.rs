@@ -17,9 +17,9 @@ const LEAST_WIDENING_M: f64 = 20.0;
 /// smaller part of the ground images agree by chance too (docs/lab/deliveries.md).
 const LEAST_KNOWN: f64 = 0.5;
 
-/// Number of matched cells of a surface, and of those at the lowest and at the highest searched altitude.
+/// Numbers of cells of a swept surface: matched, at the limits of the searched altitudes, seen and known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct AtLimits {
+pub struct CellCounts {
     /// Cells at the lowest altitude.
     pub low: usize,
     /// Cells at the highest altitude.
@@ -32,7 +32,7 @@ pub struct AtLimits {
     pub known: usize,
 }
 
-impl std::ops::AddAssign for AtLimits {
+impl std::ops::AddAssign for CellCounts {
     fn add_assign(&mut self, other: Self) {
         self.low += other.low;
         self.high += other.high;
@@ -42,7 +42,7 @@ impl std::ops::AddAssign for AtLimits {
     }
 }
 
-impl AtLimits {
+impl CellCounts {
     /// Counts for a surface that was searched over the altitudes of `scene`, without cells that fewer than two images
     /// see.
     pub fn of(surface: &Surface, scene: &Scene) -> Self {
@@ -96,7 +96,7 @@ impl AtLimits {
     }
 }
 
-fn counted(surface: &Surface, (low_m, high_m): (f64, f64)) -> AtLimits {
+fn counted(surface: &Surface, (low_m, high_m): (f64, f64)) -> CellCounts {
     let is_matched = |cell: &usize| {
         surface.confidence[*cell] >= CONFIDENT && !surface.filled[*cell] && surface.views[*cell] >= FEWEST_VIEWS
     };
@@ -105,7 +105,7 @@ fn counted(surface: &Surface, (low_m, high_m): (f64, f64)) -> AtLimits {
         .map(|cell| f64::from(surface.altitude[cell]))
         .collect();
     let step_m = f64::from(surface.resolution_m);
-    AtLimits {
+    CellCounts {
         low: matched.iter().filter(|&&up_m| up_m < low_m + step_m).count(),
         high: matched.iter().filter(|&&up_m| up_m > high_m - step_m).count(),
         matched: matched.len(),
@@ -116,7 +116,7 @@ fn counted(surface: &Surface, (low_m, high_m): (f64, f64)) -> AtLimits {
     }
 }
 
-fn widened(at: &AtLimits, (low_m, high_m): (f64, f64)) -> Option<(f64, f64)> {
+fn widened(at: &CellCounts, (low_m, high_m): (f64, f64)) -> Option<(f64, f64)> {
     let more_m = (WIDENING * (high_m - low_m)).max(LEAST_WIDENING_M).ceil();
     let by = |count: usize| if at.share(count) > TOUCHING { more_m } else { 0.0 };
     (at.share(at.low.max(at.high)) > TOUCHING).then(|| (low_m - by(at.low), high_m + by(at.high)))
@@ -144,7 +144,7 @@ mod tests {
     fn cells_at_a_limit_are_counted_among_those_that_were_matched() {
         let mut cut_off = surface(vec![3.0, 9.5, 9.8, -4.0, 9.9]);
         cut_off.views = vec![2, 3, 2, 2, 1];
-        let counts = |low, high, matched| AtLimits {
+        let counts = |low, high, matched| CellCounts {
             low,
             high,
             matched,
@@ -160,11 +160,11 @@ mod tests {
     #[test]
     fn a_range_is_widened_on_the_side_that_the_surface_touches() {
         let widened = |low, high| {
-            let at = AtLimits {
+            let at = CellCounts {
                 low,
                 high,
                 matched: 100,
-                ..AtLimits::default()
+                ..CellCounts::default()
             };
             widened(&at, (100.0, 200.0))
         };
@@ -176,16 +176,16 @@ mod tests {
     #[test]
     fn ground_that_is_mostly_unknown_is_a_warning() {
         let warnings = |known| {
-            let of_cells = AtLimits {
+            let of_cells = CellCounts {
                 seen: 100,
                 known,
                 matched: 100,
-                ..AtLimits::default()
+                ..CellCounts::default()
             };
             of_cells.warnings((0.0, 100.0))
         };
         assert!(warnings(50).is_empty());
         assert!(warnings(49)[0].starts_with("only 49 % of the ground"));
-        assert!(AtLimits::default().warnings((0.0, 100.0)).is_empty());
+        assert!(CellCounts::default().warnings((0.0, 100.0)).is_empty());
     }
 }

@@ -6,7 +6,7 @@ use super::clouds;
 use super::config::{Align, CameraOptions, SatelliteConfig, THRESHOLD_PX};
 use super::error::SatelliteError;
 use super::ground::GroundViews;
-use super::limits::AtLimits;
+use super::limits::CellCounts;
 use super::plan::Decisions;
 use heliosplat::Raster;
 use heliosplat::timeline::stage;
@@ -100,7 +100,7 @@ impl<'a> Preprocess<'a> {
         let mut changes = changes(&ground, &rasters, &shifts_px, decisions, &request, &mut surface);
         drop(part);
         let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut changes).inspect(log_lowered);
-        for warning in AtLimits::of(&surface, scene).warnings(scene.altitude_range_m) {
+        for warning in CellCounts::of(&surface, scene).warnings(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
         let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];
@@ -302,7 +302,7 @@ pub fn open_and_sweep(
     drop(part);
     let mut surface = sweep_only(&scene, config, session)?;
     for _ in 0..altitude::ROUNDS {
-        let wider = AtLimits::of(&surface, &scene).wider(scene.altitude_range_m);
+        let wider = CellCounts::of(&surface, &scene).wider(scene.altitude_range_m);
         let Some(range_m) = wider.filter(|_| scene.altitude_known_from == AltitudeSource::Ties) else {
             break;
         };

@@ -11,7 +11,7 @@ use super::clouds;
 use super::config::{Align, SatelliteConfig};
 use super::error::SatelliteError;
 use super::ground::{GroundViews, volume};
-use super::limits::AtLimits;
+use super::limits::CellCounts;
 use super::plan::Decisions;
 use super::preprocess::{clear_rasters, log_lowered, lower, sweep, worth_correcting};
 use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
@@ -79,7 +79,7 @@ struct Decided {
 /// Surface of a tile, with its counts.
 struct Swept {
     piece: Piece,
-    at_limits: AtLimits,
+    counts: CellCounts,
     lowered: Lowered,
 }
 
@@ -94,7 +94,7 @@ impl TiledSweep<'_> {
         let folder = TemporaryFolder::beside(out)?;
         let progress = session.progress("sweep", self.tiling.tiles.len() as u64);
         let mut pieces = Vec::with_capacity(self.tiling.tiles.len());
-        let mut at_limits = AtLimits::default();
+        let mut counts = CellCounts::default();
         // Cells where tiles overlap are counted twice.
         let mut lowered = Lowered::default();
         let count = self.tiling.tiles.len();
@@ -104,7 +104,7 @@ impl TiledSweep<'_> {
             }
             let begun = Instant::now();
             if let Some(tile) = self.tile(tile, &decided)? {
-                at_limits += tile.at_limits;
+                counts += tile.counts;
                 lowered += tile.lowered;
                 let _part = stage("products");
                 pieces.push(StoredPiece::write(
@@ -119,13 +119,13 @@ impl TiledSweep<'_> {
             return Err(SatelliteError::too_few_views(0));
         }
         log_lowered(&lowered);
-        for warning in at_limits.warnings(self.survey.altitude_range_m) {
+        for warning in counts.warnings(self.survey.altitude_range_m) {
             tracing::warn!("{warning}");
         }
         Ok(Written {
             tiles: pieces.len(),
             completeness: self.blended(&pieces, out)?,
-            wider_m: at_limits.wider(self.survey.altitude_range_m),
+            wider_m: counts.wider(self.survey.altitude_range_m),
         })
     }
 
@@ -174,7 +174,7 @@ impl TiledSweep<'_> {
         let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut Changes::default());
         drop(part);
         let _part = stage("products");
-        let at_limits = AtLimits::of(&surface, &scene);
+        let counts = CellCounts::of(&surface, &scene);
         let [columns, rows] = tile.bounds;
         let grid = self
             .tiling
@@ -192,7 +192,7 @@ impl TiledSweep<'_> {
         };
         Ok(Some(Swept {
             piece,
-            at_limits,
+            counts,
             lowered: lowered.unwrap_or_default(),
         }))
     }
