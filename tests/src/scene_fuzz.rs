@@ -15,7 +15,8 @@ use heliosplat::Raster;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::dsm::{Dsm, of_surface};
 use heliosplat_products::nadir::GroundExtent;
-use heliosplat_raster::CrsTransform;
+use heliosplat_raster::geoid::Undulation;
+use heliosplat_raster::{CrsTransform, Geoid};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::preprocess::open_and_sweep;
 use heliosplat_scene::{Index, IngestOptions};
@@ -214,13 +215,17 @@ pub enum Outcome {
 }
 
 impl FuzzRequest {
-    /// Random faults: one scene in ten has none, the others one to three.
+    /// Random faults: one scene in ten has none, the others one to three, and one in twenty a further one.
     pub fn of_seed(seed: u64) -> Self {
         let mut rng = Pcg32::seed_from_u64(seed ^ 0x5eed);
         let count = [0, 1, 1, 1, 1, 1, 2, 2, 2, 3][rng.random_range(0..10)];
         let mut faults: Vec<Fault> = (0..count)
             .map(|_| Fault::ALL[rng.random_range(0..Fault::ALL.len())])
             .collect();
+        let mut apart = Pcg32::seed_from_u64(seed ^ 0xfee7);
+        if apart.random_range(0..20) == 0 {
+            faults.push(Fault::APART[apart.random_range(0..Fault::APART.len())]);
+        }
         faults.sort();
         faults.dedup();
         Self { seed, faults }
@@ -315,11 +320,21 @@ pub fn compared(scene: &Scene, folder: &Path) -> Result<Compared, String> {
     let index = Index::open(folder, options.rpc).map_err(|error| error.to_string())?;
     let swept = open_and_sweep(&index, &options, &config, &Session::quiet());
     let (found, surface) = swept.map_err(|error| error.to_string())?;
-    let dsm =
-        of_surface(&GroundExtent::from(&found), &surface, found.gsd_m, None).map_err(|error| error.to_string())?;
+    // A vertical part is split off as the program does.
+    let definition = scene.crs.as_deref().map(Geoid::of_definition).transpose();
+    let geoid = definition
+        .map_err(|error| error.to_string())?
+        .and_then(|(_, geoid)| geoid);
+    let crs = scene.crs.as_deref().and_then(|crs| crs.split('+').next());
+    let dsm = of_surface(&GroundExtent::from(&found), &surface, found.gsd_m, crs);
+    let dsm = dsm.and_then(|dsm| match geoid {
+        Some(geoid) => dsm.above(geoid),
+        None => Ok(dsm),
+    });
+    let dsm = dsm.map_err(|error| error.to_string())?;
     let seen = surface.views.iter().filter(|&&views| views >= 2).count();
     Ok(Compared {
-        cells: cells(&dsm, &scene.truth),
+        cells: cells(&dsm, &scene.truth)?,
         known: (0..surface.altitude.len())
             .filter(|&cell| surface.is_known(cell))
             .count() as f64
@@ -328,14 +343,19 @@ pub fn compared(scene: &Scene, folder: &Path) -> Result<Compared, String> {
     })
 }
 
-fn cells(dsm: &Dsm, truth: &Truth) -> Vec<Cell> {
+fn cells(dsm: &Dsm, truth: &Truth) -> Result<Vec<Cell>, String> {
     let to_lon_lat = CrsTransform::to_lon_lat(&dsm.grid.crs).expect("a coordinate system");
+    let geoid = dsm.geoid.map(Undulation::new).transpose();
+    let geoid = geoid.map_err(|error| error.to_string())?;
     let known = (0..dsm.raster.plane_len()).filter(|&cell| !dsm.raster.plane(0)[cell].is_nan());
     let of_cell = |cell: usize| {
         let (col, row) = (cell % dsm.raster.width, cell / dsm.raster.width);
         let [x, y] = dsm.grid.transform.map_from_pixel(col as f64, row as f64);
         let (longitude, latitude) = to_lon_lat.apply(x, y).ok()?;
-        let [height, deviation, probability, views] = [0, 1, 2, 3].map(|band| dsm.raster.plane(band)[cell]);
+        let [mut height, deviation, probability, views] = [0, 1, 2, 3].map(|band| dsm.raster.plane(band)[cell]);
+        if let Some(geoid) = &geoid {
+            height += geoid.at(longitude, latitude).ok()? as f32;
+        }
         Some(Cell {
             place_deg: [longitude, latitude],
             height_m: [height, deviation],
@@ -344,5 +364,5 @@ fn cells(dsm: &Dsm, truth: &Truth) -> Vec<Cell> {
             error_m: truth.error_m([longitude, latitude], height, 1)?,
         })
     };
-    known.filter_map(of_cell).collect()
+    Ok(known.filter_map(of_cell).collect())
 }

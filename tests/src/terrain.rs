@@ -292,6 +292,7 @@ impl TerrainRequest {
             gsd_m: self.gsd_m,
             altitude_m: (low, high),
             stated_m: Some((low - rng.random_range(5.0..40.0), high + rng.random_range(5.0..40.0))),
+            crs: None,
             datum_px: 0.0,
         }
     }

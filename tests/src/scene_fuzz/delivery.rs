@@ -4,7 +4,7 @@ use crate::terrain::Terrain;
 use gdal::raster::{Buffer, ColorInterpretation};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, config};
 use heliosplat::Raster;
-use heliosplat_raster::{CrsTransform, GeoTransform, ImageSpec, SampleType, write_geotiff};
+use heliosplat_raster::{Crs, CrsTransform, GeoRaster, GeoTransform, ImageSpec, SampleType, write_geotiff};
 use heliosplat_rpc::{Rpc, write};
 use serde_json::{Map, Value, json};
 use std::path::Path;
@@ -284,6 +284,25 @@ impl Truth {
 }
 
 impl Truth {
+    /// Writes a raster of heights in US survey feet, and reads it as `evaluate` does.
+    pub fn in_survey_feet(&mut self) {
+        let Self::Raster { heights, transform, .. } = self else {
+            return;
+        };
+        let mut feet = heights.clone();
+        feet.values.iter_mut().for_each(|height| *height *= 3937.0 / 1200.0);
+        let home = tempfile::tempdir().expect("a temporary folder");
+        let path = home.path().join("truth.tif");
+        let crs = Crs::from_definition("EPSG:32637").expect("a coordinate system");
+        let spec = ImageSpec {
+            band_units: &["US survey foot"],
+            georeference: Some((transform, &crs)),
+            ..ImageSpec::plain(&feet)
+        };
+        write_geotiff(&path, &spec, SampleType::F32).expect("the truth is written");
+        *heights = GeoRaster::read_heights(&path).expect("heights").raster;
+    }
+
     /// The ground around a place in words: its class, where there is one, and the largest step of the heights there.
     pub fn describe(&self, longitude_deg: f64, latitude_deg: f64) -> String {
         match self {
@@ -345,6 +364,8 @@ pub struct Scene {
     pub altitude_m: (f64, f64),
     /// The range of altitudes that is given to the program, metres; `None`: it finds them by ties.
     pub stated_m: Option<(f64, f64)>,
+    /// Coordinate system of the surface; `None`: the local zone, and heights above the ellipsoid.
+    pub crs: Option<String>,
     /// Length by which faults may have moved all cameras in common, pixels: no program can see it.
     pub datum_px: f64,
 }

@@ -96,6 +96,12 @@ pub enum Fault {
     Altitudes,
     /// No altitudes are stated.
     NoAltitudes,
+    /// The stated altitudes are feet.
+    AltitudesInFeet,
+    /// The coordinate system of the surface has a vertical part.
+    CompoundCrs,
+    /// The file of the true heights is in US survey feet.
+    TruthInFeet,
 }
 
 use Fault::*;
@@ -146,6 +152,9 @@ impl Fault {
         Altitudes,
         NoAltitudes,
     ];
+
+    /// Faults that are drawn apart from the others, so that seeds keep theirs.
+    pub const APART: [Self; 3] = [AltitudesInFeet, CompoundCrs, TruthInFeet];
 
     /// True for faults of the ground and of the directions of the images: only a terrain is made with them.
     pub fn is_of_terrain(self) -> bool {
@@ -403,6 +412,22 @@ impl Fault {
                 scene.stated_m = Some((low - 10.0 + by, high + 10.0 + by));
             }
             NoAltitudes => scene.stated_m = None,
+            AltitudesInFeet => {
+                let (low, high) = scene.stated_m.unwrap_or(scene.altitude_m);
+                scene.stated_m = Some((low / 0.3048, high / 0.3048));
+            }
+            CompoundCrs => {
+                let rpc = &scene.images[one].rpc;
+                let zone = ((rpc.longitude_offset_deg + 180.0) / 6.0).floor() + 1.0;
+                let hemisphere = if rpc.latitude_offset_deg < 0.0 {
+                    32_700.0
+                } else {
+                    32_600.0
+                };
+                let vertical = [5773, 3855][rng.random_range(0..2)];
+                scene.crs = Some(format!("EPSG:{}+{vertical}", hemisphere + zone));
+            }
+            TruthInFeet => scene.truth.in_survey_feet(),
             NoBase | Water | Plain | Periodic | Tower | Steep | Change => {}
         }
     }

@@ -97,6 +97,7 @@ pub(super) fn scene(rng: &mut Pcg32) -> Scene {
         gsd_m: made.gsd_m,
         altitude_m: made.altitude_m,
         stated_m: Some((low - rng.random_range(5.0..40.0), high + rng.random_range(5.0..40.0))),
+        crs: None,
         datum_px: 0.0,
     }
 }
