@@ -11,7 +11,7 @@ use tempfile::tempdir;
 /// Scenes that every run of the tests tries.
 const SCENES: u64 = 40;
 /// Most of them that are silently wrong.
-const SILENT: usize = 2;
+const SILENT: usize = 1;
 
 #[test]
 fn few_scenes_are_silently_wrong() {
@@ -38,7 +38,7 @@ fn few_scenes_are_silently_wrong() {
 }
 
 /// Least shares of errors within one, two and four deviations, at any angle; normal errors have 0.68, 0.95 and 1.
-const WITHIN: [f64; 3] = [0.6, 0.88, 0.97];
+const WITHIN: [f64; 3] = [0.6, 0.9, 0.97];
 /// Angle below which two images have no base, degrees: its tangent is 0.02.
 const NO_BASE_DEG: f64 = 1.1;
 /// Terrains of one angle.

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Views and the surface that they are resampled to.
+#[derive(Clone, Copy)]
 pub(super) struct OnSurface<'a> {
     /// Views at the resolution of the cells.
     pub(super) views: &'a [LevelView],
@@ -19,6 +20,8 @@ pub(super) struct OnSurface<'a> {
     pub(super) grid: &'a Grid,
     /// Altitude of each cell, metres.
     pub(super) altitude_m: &'a [f32],
+    /// Added to the altitudes that are compared, metres; what hides a cell is that of the surface itself.
+    pub(super) shift_m: f32,
     /// Least difference that the census compares, as a share of the contrast limit, 0 to 1.
     pub(super) noise: f32,
 }
@@ -66,7 +69,9 @@ impl OnSurface<'_> {
                 let col = (i % columns) as isize - RADIUS as isize;
                 let row = (rows.start + i / columns) as isize - RADIUS as isize;
                 let cell = near(row, grid.height) * grid.width + near(col, grid.width);
-                let (u, v, _) = view.camera.project(grid.point(col, row, self.altitude_m[cell]));
+                let (u, v, _) = view
+                    .camera
+                    .project(grid.point(col, row, self.altitude_m[cell] + self.shift_m));
                 (u, v)
             })
             .collect();

@@ -347,6 +347,7 @@ fn on_surface<T>(
         hits: &hits,
         grid,
         altitude_m,
+        shift_m: 0.0,
         noise,
     })
 }

@@ -59,7 +59,7 @@ pub fn find_clouds(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<Vec<
         altitude_m: &altitude,
         tolerance_m: HIDDEN_STEPS * found.step_m,
     };
-    let evidence = judged.evidence().into_iter();
+    let evidence = judged.evidence().around.into_iter();
     let matched: Vec<bool> = evidence
         .map(|evidence| is_match(evidence, views.len() as f32))
         .collect();

@@ -24,7 +24,9 @@ use heliosplat_grid::Grid;
 use rayon::prelude::*;
 
 /// Half of the window, cells of the surface.
-const WINDOW_CELLS: usize = 8;
+pub(super) const WINDOW_CELLS: usize = 8;
+/// Half of the window that is a cell's own, cells of the surface: the reach of the census and of the windows of costs.
+pub(super) const NEAR_CELLS: usize = 3;
 /// Cells of the surface, each way, in one of the coarser level that is tested too.
 const COARSER: usize = 2;
 /// Factor on evidence of the coarser level, where the same window has a quarter of the comparisons.
@@ -35,6 +37,14 @@ const STRIP_ROWS: usize = 64;
 pub(super) const LEAST_EVIDENCE: f32 = 0.08;
 /// Additional evidence required of a single pair; with more pairs the search exploits chance less.
 const LEAST_EVIDENCE_OF_PAIR: f32 = 0.12;
+
+/// Evidence of the cells of a surface.
+pub(super) struct Evidence {
+    /// Over a window of [`WINDOW_CELLS`], or a coarser one: it decides whether a cell is matched.
+    pub(super) around: Vec<f32>,
+    /// Over [`NEAR_CELLS`] alone.
+    pub(super) near: Vec<f32>,
+}
 
 /// A surface on the cells of one level of the search.
 pub(super) struct LevelSurface<'a> {
@@ -53,9 +63,10 @@ pub(super) struct LevelSurface<'a> {
 impl LevelSurface<'_> {
     /// Excess of the agreement of the views over chance, one value per cell: 0 for none, 1 for a perfect match; NaN
     /// where less than half of a window is compared.
-    pub(super) fn evidence(&self) -> Vec<f32> {
+    pub(super) fn evidence(&self) -> Evidence {
         let _part = stage("evidence");
-        let fine = self.evidence_within(WINDOW_CELLS);
+        let distances = self.distances();
+        let fine = shares(&self.grid, &distances, WINDOW_CELLS);
         let (coarse_grid, altitude_m) = self.coarser();
         let coarse = LevelSurface {
             factor: self.factor * COARSER,
@@ -63,11 +74,35 @@ impl LevelSurface<'_> {
             altitude_m: &altitude_m,
             ..*self
         };
-        let coarse = coarse.evidence_within(WINDOW_CELLS / COARSER);
+        let coarse = shares(&coarse_grid, &coarse.distances(), WINDOW_CELLS / COARSER);
         let coarse = ortho::repeated(&self.grid, &coarse_grid, COARSER, &coarse);
         // `max` leaves NaN out where the other is a number.
         let cells = fine.iter().zip(coarse);
-        cells.map(|(fine, coarse)| fine.max(COARSER_WORTH * coarse)).collect()
+        Evidence {
+            around: cells.map(|(fine, coarse)| fine.max(COARSER_WORTH * coarse)).collect(),
+            near: shares(&self.grid, &distances, NEAR_CELLS),
+        }
+    }
+
+    /// The first surface point on the rays of each view.
+    pub(super) fn hits(&self, views: &[LevelView]) -> Vec<FirstHits> {
+        let standing = Standing::new(&self.grid, self.altitude_m, self.tolerance_m);
+        views
+            .iter()
+            .map(|view| FirstHits::new(&view.camera, &standing))
+            .collect()
+    }
+
+    /// Views that are compared on the surface.
+    pub(super) fn on<'a>(&'a self, views: &'a [LevelView], hits: &'a [FirstHits]) -> OnSurface<'a> {
+        OnSurface {
+            views,
+            hits,
+            grid: &self.grid,
+            altitude_m: self.altitude_m,
+            shift_m: 0.0,
+            noise: self.search.request.parameters.noise_floor / CONTRAST_LIMIT,
+        }
     }
 
     /// The surface on the coarser level.
@@ -81,20 +116,12 @@ impl LevelSurface<'_> {
         (grid, (0..grid.len()).map(of_cell).collect())
     }
 
-    /// Share by which the census distance of the views is less than by chance, over windows of `window` cells each way;
-    /// NaN where less than half of a window is compared.
-    fn evidence_within(&self, window: usize) -> Vec<f32> {
+    /// Census distance of the views at each cell, and that expected by chance; NaN where no two views see it.
+    fn distances(&self) -> [Vec<f32>; 2] {
         let Compared { views, pairs } = self.search.compared(self.factor);
         let grid = &self.grid;
-        let standing = Standing::new(grid, self.altitude_m, self.tolerance_m);
-        let hits = |view: &LevelView| FirstHits::new(&view.camera, &standing);
-        let surface = OnSurface {
-            views: &views,
-            hits: &views.iter().map(hits).collect::<Vec<_>>(),
-            grid,
-            altitude_m: self.altitude_m,
-            noise: self.search.request.parameters.noise_floor / CONTRAST_LIMIT,
-        };
+        let hits = self.hits(&views);
+        let surface = self.on(&views, &hits);
         let (mut found, mut by_chance) = (vec![f32::NAN; grid.len()], vec![f32::NAN; grid.len()]);
         let strip_cells = STRIP_ROWS * grid.width.max(1);
         let strips = found
@@ -118,10 +145,16 @@ impl LevelSurface<'_> {
                 by_chance[cell] = 0.5 * chance.distance[cell] as f32;
             }
         });
-        let [found, by_chance] = [found, by_chance].map(|values| box_mean(grid, &values, window));
-        let shares = found.iter().zip(by_chance);
-        shares.map(|(found, by_chance)| share_less(*found, by_chance)).collect()
+        [found, by_chance]
     }
+}
+
+/// Share by which the mean of the first distances is less than that of the second ones, over windows of `window` cells
+/// each way; NaN where less than half of a window is compared.
+fn shares(grid: &Grid, distances: &[Vec<f32>; 2], window: usize) -> Vec<f32> {
+    let [found, by_chance] = distances.each_ref().map(|values| box_mean(grid, values, window));
+    let shares = found.iter().zip(by_chance);
+    shares.map(|(found, by_chance)| share_less(*found, by_chance)).collect()
 }
 
 /// Share by which a distance is less than by chance. Ground without any contrast agrees at every altitude, so its
@@ -140,7 +173,7 @@ pub(super) fn is_match(evidence: f32, views: f32) -> bool {
 }
 
 /// The least evidence of a match of `views` views.
-fn least_evidence(views: f32) -> f32 {
+pub(super) fn least_evidence(views: f32) -> f32 {
     let pairs = (0.5 * views * (views - 1.0)).max(1.0);
     LEAST_EVIDENCE + LEAST_EVIDENCE_OF_PAIR / pairs
 }
@@ -221,7 +254,7 @@ mod tests {
             altitude_m: &vec![0.0; grid.len()],
             tolerance_m: 1.0,
         };
-        let evidence = surface.evidence();
+        let evidence = surface.evidence().around;
         evidence
             .into_iter()
             .map(|evidence| is_match(evidence, views.len() as f32))

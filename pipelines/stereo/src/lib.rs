@@ -54,6 +54,7 @@ mod pyramid;
 mod ranges;
 mod request;
 mod sampling;
+mod second_opinion;
 mod seen;
 mod sgm;
 mod surface;

@@ -2,7 +2,7 @@
 //! post-processed.
 
 use super::edges;
-use super::evidence::{LEAST_EVIDENCE, LevelSurface, is_match};
+use super::evidence::{Evidence, LEAST_EVIDENCE, LevelSurface, is_match};
 use super::floor;
 use super::level::LevelView;
 use super::plane_smoothing;
@@ -54,7 +54,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         altitude_m: &altitude,
         tolerance_m: tolerance_m(found.step_m),
     };
-    let evidence = judged.evidence();
+    let Evidence { around: evidence, near } = judged.evidence();
     // Only cells with evidence hide others: outside the common ground the search finds false towers and pits.
     let cells = altitude.iter().zip(&evidence);
     let standing: Vec<f32> = cells
@@ -63,11 +63,18 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
             false => f32::NAN,
         })
         .collect();
-    let Witnesses { views, base_to_height } = seen(&search.level_views(1), &grid, &altitude, &standing, found.step_m);
+    let witnesses = seen(&search.level_views(1), &grid, &altitude, &standing, found.step_m);
+    let of_pairs = judged.variance_of_pairs(&witnesses, found.step_m / request.parameters.step_cells);
+    let Witnesses { views, base_to_height } = witnesses;
     let searched_m = request.volume.altitude_min_m - found.step_m..request.volume.altitude_max_m + found.step_m;
     let cells = evidence.iter().zip(&views).zip(&altitude);
     let matched: Vec<bool> = cells
         .map(|((evidence, views), altitude)| is_match(*evidence, f32::from(*views)) && searched_m.contains(altitude))
+        .collect();
+    let around = judged.variance_around(&near, &views);
+    let variances = found.choices.iter().zip(of_pairs.iter().zip(around));
+    let deviation_m = variances
+        .map(|(choice, (of_pairs, around))| (choice.deviation_m.powi(2) + of_pairs + around).sqrt())
         .collect();
     Surface {
         width: grid.width,
@@ -77,7 +84,7 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
         cell_m: grid.cell_m,
         above: above(&as_matched, &altitude, &filled),
         confidence,
-        deviation_m: found.choices.iter().map(|choice| choice.deviation_m).collect(),
+        deviation_m,
         probability: shared(&grid, &altitude, same_patch_m, &found.choices),
         matched,
         views,
