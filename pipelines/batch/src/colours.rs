@@ -6,9 +6,13 @@ use super::blocks::{common, overlap};
 use super::layers::Layer;
 use super::mosaic::{Parts, Places};
 use super::plan::MosaicTile;
+use super::products::{ALBEDO, RUN};
 use heliosplat_products::export::Reference;
+use heliosplat_products::model;
+use heliosplat_products::relit_light::BandLight;
 use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::{RasterError, write_atomically};
+use heliosplat_rpc::sun::SunPosition;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -25,6 +29,9 @@ const FILE_MAX: u64 = 1 << 30;
 pub(super) struct Colours {
     /// Gains by raster, tile and band.
     gains: BTreeMap<String, BTreeMap<String, Vec<f64>>>,
+    /// Light of the relit images of all tiles, band by band; `None` without one.
+    #[serde(default)]
+    pub(super) relit: Option<Vec<BandLight>>,
     /// Look of the 3D Tiles of all blocks, if they are written.
     pub(super) reference: Option<Reference>,
 }
@@ -33,36 +40,47 @@ pub(super) struct Colours {
 type Ratio = (usize, usize, f64, usize);
 
 impl Colours {
-    /// Finds the gains of the rasters `names` of all tiles. Their geometric mean over the tiles is 1 for each band.
+    /// Finds the gains of the albedo of all tiles, whose geometric mean over the tiles is 1 for each band, and the mean
+    /// light of their images relit under `sun`.
     ///
     /// # Errors
-    /// When a raster of a tile cannot be read.
-    pub(super) fn find(out: &Path, tiles: &[MosaicTile], gsd_m: f64, names: &[&str]) -> Result<Self, BatchError> {
+    /// When a raster or a model of a tile cannot be read.
+    pub(super) fn find(
+        out: &Path,
+        tiles: &[MosaicTile],
+        gsd_m: f64,
+        sun: Option<&SunPosition>,
+    ) -> Result<Self, BatchError> {
         let tiles: Vec<&MosaicTile> = tiles
             .iter()
             .filter(|tile| out.join(&tile.unit).join("dsm.tif").is_file())
             .collect();
         let overlaps = overlaps(&tiles);
         let mut found = Self::default();
-        for &name in names {
-            let ratios = overlaps
-                .par_iter()
-                .map(|&(a, b)| Ok(((a, b), ratios(out, [tiles[a], tiles[b]], gsd_m, name)?)))
-                .collect::<Result<Vec<_>, BatchError>>()?;
-            let bands = ratios.iter().map(|(_, ratios)| ratios.len()).max().unwrap_or(0);
-            let mut gains = vec![vec![1.0; bands]; tiles.len()];
-            for band in 0..bands {
-                let of_band = ratios.iter().filter_map(|&((a, b), ref ratios)| {
-                    let (log, cells) = ratios.get(band).copied().flatten()?;
-                    Some((a, b, log, cells))
-                });
-                let of_band: Vec<Ratio> = of_band.collect();
-                for (gains, log) in gains.iter_mut().zip(balanced_gains(&of_band, tiles.len())) {
-                    gains[band] = log.exp();
-                }
+        let ratios = overlaps
+            .par_iter()
+            .map(|&(a, b)| Ok(((a, b), ratios(out, [tiles[a], tiles[b]], gsd_m, ALBEDO)?)))
+            .collect::<Result<Vec<_>, BatchError>>()?;
+        let bands = ratios.iter().map(|(_, ratios)| ratios.len()).max().unwrap_or(0);
+        let mut gains = vec![vec![1.0; bands]; tiles.len()];
+        for band in 0..bands {
+            let of_band = ratios.iter().filter_map(|&((a, b), ref ratios)| {
+                let (log, cells) = ratios.get(band).copied().flatten()?;
+                Some((a, b, log, cells))
+            });
+            let of_band: Vec<Ratio> = of_band.collect();
+            for (gains, log) in gains.iter_mut().zip(balanced_gains(&of_band, tiles.len())) {
+                gains[band] = log.exp();
             }
-            let named = tiles.iter().map(|tile| tile.unit.clone()).zip(gains);
-            found.gains.insert(name.to_owned(), named.collect());
+        }
+        let named = tiles.iter().map(|tile| tile.unit.clone()).zip(gains);
+        found.gains.insert(ALBEDO.to_owned(), named.collect());
+        if let Some(sun) = sun {
+            let mut lights = Vec::with_capacity(tiles.len());
+            for tile in tiles {
+                lights.extend(BandLight::of(&model::load_file(&out.join(&tile.unit).join(RUN))?, sun));
+            }
+            found.relit = BandLight::mean(&lights);
         }
         Ok(found)
     }

@@ -53,6 +53,19 @@ impl Layer {
         }
     }
 
+    /// Replaces every value by `change` of its tile, band and value, and the value of `other` there.
+    pub(super) fn change(&mut self, other: &Self, change: impl Fn(usize, usize, f32, f32) -> f32) {
+        for (tile, (raster, other)) in self.rasters.iter_mut().zip(&other.rasters).enumerate() {
+            let (Some(raster), Some(other)) = (raster, other) else {
+                continue;
+            };
+            for band in 0..raster.bands.min(other.bands) {
+                let values = raster.plane_mut(band).iter_mut().zip(other.plane(band));
+                values.for_each(|(value, beside)| *value = change(tile, band, *value, *beside));
+            }
+        }
+    }
+
     /// Number of bands that all rasters have; 0 without rasters.
     fn bands(&self) -> usize {
         self.rasters

@@ -16,6 +16,7 @@ use heliosplat_products::export::{self, ExportError, Look, MosaicTile, Reference
 use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::points;
+use heliosplat_products::relit_light::BandLight;
 use heliosplat_products::set::{self, Request, dates, only_sun, times};
 use heliosplat_products::sunshine::sunshine;
 use heliosplat_products::writer::{ItemMetadata, Writer};
@@ -29,7 +30,7 @@ use std::path::{Path, PathBuf};
 pub const RUN: &str = "run";
 /// Name of the file of the colours of all tiles.
 pub(super) const COLOURS: &str = "colours.json";
-/// Names of the rasters of colours.
+/// Names of the rasters of colours, of which the relit one may be missing.
 pub(super) const ALBEDO: &str = "albedo.tif";
 const RELIT: &str = "relit.tif";
 /// Name of the point cloud.
@@ -48,17 +49,13 @@ const PICTURE_PX: usize = 1600;
 /// Colour of shadows in pictures: red, green, blue.
 const SHADOW: [u8; 3] = [40, 80, 255];
 
-/// Names of the rasters of colours of tiles, with a relit image or without.
-pub(super) fn colours_of(relit: bool) -> &'static [&'static str] {
-    if relit { &[ALBEDO, RELIT] } else { &[ALBEDO] }
-}
-
 /// Name of a unit's STAC item.
 fn item_id(unit: &str) -> String {
     unit.replace('/', "_")
 }
 
-fn sun_of([azimuth_deg, elevation_deg]: [f64; 2]) -> SunPosition {
+/// Sun at an azimuth and an elevation, degrees.
+pub(super) fn sun_of([azimuth_deg, elevation_deg]: [f64; 2]) -> SunPosition {
     SunPosition::from_degrees(azimuth_deg, elevation_deg)
 }
 
@@ -135,9 +132,8 @@ pub fn of_mosaic(
     let (size, gsd_m) = ((grid.width, grid.height), work.gsd_m as f32);
     let colours = match &work.colours {
         Some(unit) => Colours::read(&out.join(unit).join(COLOURS))?,
-        None => Colours::find(out, &work.tiles, work.gsd_m, colours_of(work.products.sun.is_some()))?,
+        None => Colours::find(out, &work.tiles, work.gsd_m, work.products.sun.map(sun_of).as_ref())?,
     };
-    let gains_of = |name: &str| colours.of(name, pieces.iter().map(|piece| piece.unit.as_str()));
     let read = |name: &str| Layer::read(out, &mosaic.parts, name);
     let mask = |name: &str| Ok::<_, BatchError>(read(name)?.merged(pieces, size, gsd_m, Merge::Majority));
 
@@ -149,7 +145,7 @@ pub fn of_mosaic(
         writer.changes(&changes)?;
     }
     let mut albedo = read(ALBEDO)?;
-    let gains = gains_of(ALBEDO);
+    let gains = colours.of(ALBEDO, pieces.iter().map(|piece| piece.unit.as_str()));
     albedo.scale(&gains);
     let albedo = albedo.merged(pieces, size, gsd_m, Merge::Mean);
     let index = models.files.first().and_then(ModelFile::ndvi);
@@ -158,7 +154,16 @@ pub fn of_mosaic(
     look.write("albedo", None)?;
     if let Some(sun) = work.products.sun.map(sun_of) {
         let mut image = read(RELIT)?;
-        image.scale(&gains_of(RELIT));
+        if let Some(to) = &colours.relit {
+            let lights: Vec<_> = models.files.iter().map(|file| BandLight::of(file, &sun)).collect();
+            image.change(&read(ALBEDO)?, |tile, band, value, albedo| {
+                let gain = gains[tile].get(band).copied().unwrap_or(1.0);
+                match (lights[tile].as_ref().and_then(|light| light.get(band)), to.get(band)) {
+                    (Some(light), Some(to)) => light.moved(to, value, albedo, gain),
+                    _ => value,
+                }
+            });
+        }
         let image = image.merged(pieces, size, gsd_m, Merge::Mean);
         writer.relit(&image, &mask("relit_shadow.tif")?, bands, &sun)?;
         OrthoPreview::new(&image, folder).write("relit", None)?;

@@ -5,7 +5,7 @@ use super::colours::Colours;
 use super::joined;
 use super::mosaic::{mosaic, nothing};
 use super::plan::{AdjustWork, ColoursWork, MosaicWork, TileWork, Unit, Units, Work};
-use super::products::{self, COLOURS, RUN, colours_of};
+use super::products::{self, COLOURS, RUN, sun_of};
 use super::stamp::{self, Done, Output, STAMP, Stamp, claim};
 use super::store;
 use heliosplat_evaluate::{EvaluateError, Protocol, error_map, evaluate_dsm, evaluate_raster};
@@ -228,7 +228,7 @@ fn adjust(work: &AdjustWork, folder: &Path, session: &Session) -> Result<Done, B
 /// Finds the gains of the colours of all tiles of an area, and the look of its 3D Tiles.
 fn colours(work: &ColoursWork, out: &Path, folder: &Path) -> Result<Done, BatchError> {
     let sun = work.products.sun;
-    let mut found = Colours::find(out, &work.tiles, work.gsd_m, colours_of(sun.is_some()))?;
+    let mut found = Colours::find(out, &work.tiles, work.gsd_m, sun.map(sun_of).as_ref())?;
     if work.products.globe {
         found.reference = products::reference(out, &work.tiles, &found, sun)?;
     }

@@ -19,6 +19,7 @@ pub mod ortho;
 pub mod ply;
 pub mod points;
 pub mod relight;
+pub mod relit_light;
 pub mod seams;
 pub mod seen;
 pub mod set;
