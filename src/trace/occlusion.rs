@@ -34,6 +34,8 @@ pub(super) fn attenuation(opacity: f32, square: f32, hit: u32) -> (f32, f32) {
     let alpha = opacity * exp(-0.5 * square);
     let alpha = if alpha < ALPHA_MAX { alpha } else { ALPHA_MAX };
     let alpha = if hit != 0 { alpha } else { 0.0 };
-    let weight = if alpha < ALPHA_MAX { alpha / (1.0 - alpha) } else { 0.0 };
+    // Divided in any case, so that lanes need no branch.
+    let ratio = alpha / (1.0 - alpha);
+    let weight = if alpha < ALPHA_MAX { ratio } else { 0.0 };
     (alpha, weight)
 }

@@ -189,17 +189,20 @@ fn add_contributions(ellipse: &Ellipse, block: &RayBlock, lanes: [i32; 2], sums:
     if hit == [0; LANES] {
         return false;
     }
+    // Sums in local lanes stay in registers; through the reference the compiler makes this loop scalar.
+    let [mut h_sum, mut x_sum, mut y_sum, mut xx_sum, mut xy_sum, mut yy_sum] = *sums;
     for l in 0..LANES {
         let hit = hit[l] & u32::from(block.id[l] != ellipse.id);
         let (_, weight) = attenuation(ellipse.opacity, square[l], hit);
         let h = -block.d_log[l] * weight;
         let (hx, hy) = (h * tx[l], h * ty[l]);
-        sums[0][l] += h;
-        sums[1][l] += hx;
-        sums[2][l] += hy;
-        sums[3][l] += hx * tx[l];
-        sums[4][l] += hx * ty[l];
-        sums[5][l] += hy * ty[l];
+        h_sum[l] += h;
+        x_sum[l] += hx;
+        y_sum[l] += hy;
+        xx_sum[l] += hx * tx[l];
+        xy_sum[l] += hx * ty[l];
+        yy_sum[l] += hy * ty[l];
     }
+    *sums = [h_sum, x_sum, y_sum, xx_sum, xy_sum, yy_sum];
     true
 }
