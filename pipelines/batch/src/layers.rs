@@ -9,6 +9,8 @@ use heliosplat_products::blend::{Piece, in_row, one_surface};
 use rayon::prelude::*;
 use std::path::Path;
 
+/// Name of the albedo of a tile and of a mosaic.
+pub(super) const ALBEDO: &str = "albedo.tif";
 /// Approximate number of cells of an overlap that are compared in each direction.
 const COMPARED: isize = 300;
 /// Fewest compared cells of an overlap from which a ratio is estimated.

@@ -25,6 +25,8 @@ const LEAST_BYTES: f64 = 200.0 * 1_048_576.0;
 const LEAST_S: f64 = 5.0;
 /// Approximate seconds per Gaussian and step of a training on one core; the speed of the machine is not measured.
 const STEP_S_PER_GAUSSIAN: f64 = 1.8e-6;
+/// Folder of a tile's training, below the folder of the tile.
+pub const RUN: &str = "run";
 /// Name of the unit that corrects the pointing of the images.
 const ADJUST: &str = "adjust";
 /// Seconds per pixel of the windows of an adjustment on one core.

@@ -2,10 +2,10 @@
 
 use super::BatchError;
 use super::blocks::common;
-use super::colours::Colours;
-use super::layers::{Layer, Merge};
+use super::colours::{self, Colours};
+use super::layers::{ALBEDO, Layer, Merge};
 use super::mosaic::{Mosaic, grid_of};
-use super::plan::{self, MosaicWork, Unit};
+use super::plan::{self, MosaicWork, RUN, Unit};
 use super::summary::COLLECTION;
 use heliosplat::Raster;
 use heliosplat_pages::view;
@@ -26,12 +26,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Folder of a tile's training, below the folder of the tile.
-pub const RUN: &str = "run";
-/// Name of the file of the colours of all tiles.
-pub(super) const COLOURS: &str = "colours.json";
-/// Names of the rasters of colours, of which the relit one may be missing.
-pub(super) const ALBEDO: &str = "albedo.tif";
+/// Name of the relit image.
 const RELIT: &str = "relit.tif";
 /// Name of the point cloud.
 const POINTS: &str = "points.laz";
@@ -131,7 +126,7 @@ pub fn of_mosaic(
     let (pieces, grid) = (&mosaic.parts.pieces, &mosaic.grid);
     let (size, gsd_m) = ((grid.width, grid.height), work.gsd_m as f32);
     let colours = match &work.colours {
-        Some(unit) => Colours::read(&out.join(unit).join(COLOURS))?,
+        Some(unit) => Colours::read(&out.join(unit).join(colours::FILE))?,
         None => Colours::find(out, &work.tiles, work.gsd_m, work.products.sun.map(sun_of).as_ref())?,
     };
     let read = |name: &str| Layer::read(out, &mosaic.parts, name);
@@ -144,10 +139,10 @@ pub fn of_mosaic(
     if let Some(changes) = ChangeMap::read(heaviest("change.tif")?, moments, &models.days_of_change()) {
         writer.changes(&changes)?;
     }
-    let mut albedo = read(ALBEDO)?;
-    let gains = colours.of(ALBEDO, pieces.iter().map(|piece| piece.unit.as_str()));
-    albedo.scale(&gains);
-    let albedo = albedo.merged(pieces, size, gsd_m, Merge::Mean);
+    let mut albedos = read(ALBEDO)?;
+    let gains = colours.gains(pieces.iter().map(|piece| piece.unit.as_str()));
+    albedos.scale(&gains);
+    let albedo = albedos.merged(pieces, size, gsd_m, Merge::Mean);
     let index = models.files.first().and_then(ModelFile::ndvi);
     writer.colours(&albedo, bands, index)?;
     let look = OrthoPreview::new(&albedo, folder);
@@ -156,7 +151,7 @@ pub fn of_mosaic(
         let mut image = read(RELIT)?;
         if let Some(to) = &colours.relit {
             let lights: Vec<_> = models.files.iter().map(|file| BandLight::of(file, &sun)).collect();
-            image.change(&read(ALBEDO)?, |tile, band, value, albedo| {
+            image.change(&albedos, |tile, band, value, albedo| {
                 let gain = gains[tile].get(band).copied().unwrap_or(1.0);
                 match (lights[tile].as_ref().and_then(|light| light.get(band)), to.get(band)) {
                     (Some(light), Some(to)) => light.moved(to, value, albedo, gain),
@@ -246,7 +241,7 @@ pub(super) fn reference(
     let bands = model::load_file(&out.join(first).join(RUN))?.bands;
     let mut planes = vec![Vec::new(); bands.len()];
     let mut references = Vec::with_capacity(units.len());
-    for (unit, gains) in units.iter().zip(colours.of(ALBEDO, units.iter().copied())) {
+    for (unit, gains) in units.iter().zip(colours.gains(units.iter().copied())) {
         let albedo = RasterFile::open(&out.join(unit).join(ALBEDO))?.read_all()?;
         let step = albedo.plane_len().div_ceil(REFERENCE_CELLS).max(1);
         for (band, plane) in planes.iter_mut().enumerate().take(albedo.bands) {

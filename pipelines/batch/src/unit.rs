@@ -1,11 +1,11 @@
 //! One unit of a batch: adjustment, training or mosaic, with products, page and stamp.
 
 use super::BatchError;
-use super::colours::Colours;
+use super::colours::{self, Colours};
 use super::joined;
 use super::mosaic::{mosaic, nothing};
-use super::plan::{AdjustWork, ColoursWork, MosaicWork, TileWork, Unit, Units, Work};
-use super::products::{self, COLOURS, RUN, sun_of};
+use super::plan::{AdjustWork, ColoursWork, MosaicWork, RUN, TileWork, Unit, Units, Work};
+use super::products::{self, sun_of};
 use super::stamp::{self, Done, Output, STAMP, Stamp, claim};
 use super::store;
 use heliosplat_evaluate::{EvaluateError, Protocol, error_map, evaluate_dsm, evaluate_raster};
@@ -232,8 +232,8 @@ fn colours(work: &ColoursWork, out: &Path, folder: &Path) -> Result<Done, BatchE
     if work.products.globe {
         found.reference = products::reference(out, &work.tiles, &found, sun)?;
     }
-    found.write(&folder.join(COLOURS))?;
-    Ok((vec![COLOURS.into()], json!({"tiles": work.tiles.len()})))
+    found.write(&folder.join(colours::FILE))?;
+    Ok((vec![colours::FILE.into()], json!({"tiles": work.tiles.len()})))
 }
 
 /// Scene of a tile; images without pixels in it are left out.

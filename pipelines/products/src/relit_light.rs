@@ -1,5 +1,11 @@
 //! Light of relit images. Each model finds air, path radiance and exposure for itself; relit images of neighbouring
-//! models are brought to one light before they are merged.
+//! models are brought to one light before they are merged. With the visibility `v` of the sun, a band of a relit image is
+//!
+//! ```text
+//! value = albedo · (v + (1 - v) · shade) · ground + path
+//! ```
+//!
+//! as `relight` composes it.
 
 use super::model::ModelFile;
 use heliosplat::gaussians::Table;
@@ -56,10 +62,10 @@ impl BandLight {
         is_even.then(|| (0..bands).map(mean).collect())
     }
 
-    /// Value that a cell of this albedo and relit `value` has under the light `to`; albedos of `to` are `gain` times
-    /// those of this light.
+    /// Value (counts) under the light `to` of a cell with the relit `value` (counts) and the `albedo` that already has
+    /// its `gain`: albedos of `to` are `gain` times those of this light.
     pub fn moved(&self, to: &Self, value: f32, albedo: f32, gain: f64) -> f32 {
-        let reflected = (f64::from(value) - self.path) / self.ground;
+        let reflected = gain * (f64::from(value) - self.path) / self.ground;
         let lit = match albedo > DARK {
             true => reflected / f64::from(albedo),
             false => 1.0,
@@ -67,7 +73,7 @@ impl BandLight {
         let visibility = ((lit - self.shade) / (1.0 - self.shade).max(1e-6)).clamp(0.0, 1.0);
         let under = |shade: f64| visibility + (1.0 - visibility) * shade;
         let ratio = under(to.shade) / under(self.shade).max(1e-6);
-        (gain * reflected * ratio * to.ground + to.path) as f32
+        (reflected * ratio * to.ground + to.path) as f32
     }
 }
 
@@ -96,7 +102,7 @@ mod tests {
             let moved = |light: &BandLight, gain: f64| {
                 let lit = visibility + (1.0 - visibility) * light.shade;
                 let value = albedo / gain * lit * light.ground + light.path;
-                light.moved(&mean, value as f32, (albedo / gain) as f32, gain)
+                light.moved(&mean, value as f32, albedo as f32, gain)
             };
             let [a, b] = [moved(&first, 0.5), moved(&second, 1.0)];
             let expected = albedo * (visibility + (1.0 - visibility) * mean.shade) * mean.ground + mean.path;

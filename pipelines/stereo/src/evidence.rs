@@ -180,71 +180,23 @@ pub(super) fn least_evidence(views: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::parameters::{MatchingFacts, MatchingParameters};
-    use super::super::request::PlaneSweepRequest;
+    use super::super::fixture::{leaning, noise, request};
     use super::super::views::SweepView;
-    use super::super::volume::SearchVolume;
     use super::*;
-    use glam::DVec3;
-    use heliosplat::{ProjectiveCamera, Raster};
+    use heliosplat::Raster;
 
     const SIDE: usize = 96;
 
-    /// An image of level ground from straight above, a metre to a pixel. Its eastern half is the same in every image,
-    /// its western half differs.
-    fn image(number: usize) -> Raster {
-        let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
-        for (pixel, value) in image.values.iter_mut().enumerate() {
-            let of_image = if pixel % SIDE < SIDE / 2 { number + 1 } else { 0 };
-            let mut random = (pixel as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (of_image as u64) << 40;
-            random = (random ^ (random >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            *value = ((random >> 33) % 1000) as f32 + 1.0;
-        }
-        image
-    }
-
     /// Matched cells of level ground whose eastern half is the same in all of `views` images.
     fn matched(views: usize) -> Vec<bool> {
-        let images: Vec<Raster> = (0..views).map(image).collect();
-        let middle = SIDE as f64 / 2.0 - 0.5;
+        let seed = |number: usize| move |pixel: usize| if pixel % SIDE < SIDE / 2 { number as u64 + 1 } else { 0 };
+        let images: Vec<Raster> = (0..views).map(|number| noise(SIDE, seed(number))).collect();
         let views: Vec<SweepView> = images
             .iter()
             .enumerate()
-            .map(|(number, image)| {
-                let lean = 0.1 * number as f64;
-                SweepView {
-                    camera: ProjectiveCamera::new(
-                        [1.0, 0.0, lean, middle],
-                        [0.0, -1.0, 0.0, middle],
-                        [0.0; 3],
-                        (SIDE, SIDE),
-                        DVec3::new(lean, 0.0, -1.0).normalize(),
-                    ),
-                    image,
-                    index: None,
-                    date_group: number as u32,
-                    sun: None,
-                }
-            })
+            .map(|(number, image)| leaning(image, 0.1 * number as f64, 0.0, number as u32))
             .collect();
-        let half = SIDE as f32 / 2.0;
-        let request = PlaneSweepRequest {
-            volume: SearchVolume {
-                west_m: -half,
-                south_m: -half,
-                east_m: half,
-                north_m: half,
-                cell_m: 1.0,
-                altitude_min_m: -5.0,
-                altitude_max_m: 5.0,
-            },
-            centre: glam::Vec3::ZERO,
-            parameters: MatchingParameters::choose(&MatchingFacts {
-                views: views.len() as f32,
-                combined_base_to_height: 1.0,
-                has_index: false,
-            }),
-        };
+        let request = request(SIDE, views.len());
         let search = Search::new(&views, &request);
         let grid = request.grid();
         let surface = LevelSurface {

@@ -40,6 +40,8 @@ mod contrast;
 mod cost;
 mod edges;
 mod evidence;
+#[cfg(test)]
+mod fixture;
 mod floor;
 mod heights;
 mod level;

@@ -124,14 +124,9 @@ fn least(distances: [f32; SHIFTS.len()]) -> Option<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::parameters::{MatchingFacts, MatchingParameters};
+    use super::super::fixture::{leaning, noise, request};
     use super::super::pyramid::Search;
-    use super::super::request::PlaneSweepRequest;
-    use super::super::views::SweepView;
-    use super::super::volume::SearchVolume;
     use super::*;
-    use glam::DVec3;
-    use heliosplat::{ProjectiveCamera, Raster};
 
     const SIDE: usize = 48;
 
@@ -146,45 +141,9 @@ mod tests {
     /// Passes a level surface, a metre to a cell and a pixel, in three views to `look`; the last camera is
     /// `off_px` columns off.
     fn with_surface<T>(off_px: f64, altitude_m: &[f32], look: impl FnOnce(&LevelSurface) -> T) -> T {
-        let mut image = Raster::filled(SIDE, SIDE, 1, 0.0);
-        for (pixel, value) in image.values.iter_mut().enumerate() {
-            let random = (pixel as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            let random = (random ^ (random >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            *value = ((random >> 33) % 1000) as f32 + 1.0;
-        }
-        let middle = SIDE as f64 / 2.0 - 0.5;
-        let view = |(lean, off): (f64, f64)| SweepView {
-            camera: ProjectiveCamera::new(
-                [1.0, 0.0, lean, middle + off],
-                [0.0, -1.0, 0.0, middle],
-                [0.0; 3],
-                (SIDE, SIDE),
-                DVec3::new(lean, 0.0, -1.0).normalize(),
-            ),
-            image: &image,
-            index: None,
-            date_group: 0,
-            sun: None,
-        };
-        let views = [(0.0, 0.0), (0.5, 0.0), (1.0, off_px)].map(view);
-        let half = SIDE as f32 / 2.0;
-        let request = PlaneSweepRequest {
-            volume: SearchVolume {
-                west_m: -half,
-                south_m: -half,
-                east_m: half,
-                north_m: half,
-                cell_m: 1.0,
-                altitude_min_m: -5.0,
-                altitude_max_m: 5.0,
-            },
-            centre: glam::Vec3::ZERO,
-            parameters: MatchingParameters::choose(&MatchingFacts {
-                views: 3.0,
-                combined_base_to_height: 1.0,
-                has_index: false,
-            }),
-        };
+        let image = noise(SIDE, |_| 0);
+        let views = [(0.0, 0.0), (0.5, 0.0), (1.0, off_px)].map(|(lean, off_px)| leaning(&image, lean, off_px, 0));
+        let request = request(SIDE, views.len());
         look(&LevelSurface {
             search: &Search::new(&views, &request),
             factor: 1,

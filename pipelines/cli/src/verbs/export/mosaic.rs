@@ -1,7 +1,7 @@
 //! Reader of a batch's mosaic for `export`.
 
 use crate::outcome::CliError;
-use heliosplat_batch::products::RUN;
+use heliosplat_batch::plan::RUN;
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_products::dsm::Dsm;
 use heliosplat_products::export::{Mosaic, MosaicTile};
