@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# A Slurm cluster of two nodes on this machine, and a batch on it: a node is killed in the middle, the run must complete, and its
-# products must be those of an undisturbed batch.
+# A Slurm cluster of two nodes on this machine, and batches on it. With Snakemake: a node is killed in the middle, the run must
+# complete. As arrays: KILLS units (20) are killed at random and submitted again. The products of both must be those of an
+# undisturbed batch.
 #
 #   pipelines/workflow/tests/slurm_trial.sh FOLDER        (a new folder; logs and products stay there)
 #
@@ -13,6 +14,7 @@ folder=$(mkdir -p "$1" && cd "$1" && pwd)
 program=${HELIOSPLAT:-$repository/target/release/heliosplat}
 snakemake=${SNAKEMAKE:-snakemake}
 iterations=${ITERATIONS:-60}
+kills=${KILLS:-20}
 started=()
 
 # Job steps look for the configuration where Debian puts it, whatever the environment says.
@@ -98,14 +100,15 @@ sinfo
 [ -d "$folder/scene" ] || "$program" synth satellite --site tiny --seed 5 --out "$folder/scene" > /dev/null
 cat > "$folder/batch.toml" <<TOML
 [tiles]
-side_m = 48.0
+side_m = 24.0
 overlap_m = 6.0
+block = 64
 [[images]]
 name = "tiny"
 scene = "scene"
 [[presets]]
 name = "fast"
-set = { "train.iterations" = $iterations, "train.rounds" = 1000 }
+set = { "train.iterations" = $iterations, "train.epochs" = 1000 }
 TOML
 run() {
     "$snakemake" -s "$repository/pipelines/workflow/Snakefile" --directory "$folder" --config \
@@ -150,9 +153,35 @@ grep -n -i -E 'node_fail|trying to restart' "$folder/log/slurm.log" || true
 grep -h 'due to failure' "$folder/log/slurmctld.log" || true
 [ "$code" = 0 ]
 
+same_as_alone() {
+    (cd "$folder/alone" && find . -name '*.tif' -o -name 'model.ply' | sort) | while read -r file; do
+        cmp "$folder/alone/$file" "$folder/$1/$file"
+    done
+}
 say "products of both, compared"
-(cd "$folder/alone" && find . -name '*.tif' -o -name 'model.ply' | sort) | while read -r file; do
-    cmp "$folder/alone/$file" "$folder/cluster/$file"
-done
+same_as_alone cluster
 grep -q 'Trying to restart job' "$folder/log/slurm.log"
 say "the same bytes; a node was killed and its unit was tried again"
+
+# --- as arrays -------------------------------------------------------------------------------------------------------
+say "node2 again, and the same batch as arrays; $kills units are killed"
+slurmd -D -N node2 -f "$SLURM_CONF" >> "$folder/log/slurmd-node2.out" 2>&1 &
+started+=($!)
+submitted() {
+    "$program" batch "$folder/batch.toml" --out "$folder/arrays" --plan --json 2> "$folder/log/plan.log" |
+        python3 "$repository/pipelines/workflow/slurm_array.py" "$folder/batch.toml" "$folder/arrays" "$folder/jobs" --program "$program"
+}
+killed=0
+until [ "$(submitted)" = "all units are finished" ]; do
+    "$folder/jobs/submit.sh" --partition=trial > /dev/null
+    while [ -n "$(squeue -h -t all -o %T | grep -E 'PENDING|RUNNING|COMPLETING')" ]; do
+        sleep "0.$((RANDOM % 9 + 1))"
+        units=($(pgrep -f -- "--out $folder/arrays --only" || true))
+        if [ "${#units[@]}" -gt 0 ] && [ "$killed" -lt "$kills" ]; then
+            kill -KILL "${units[RANDOM % ${#units[@]}]}" 2>/dev/null && killed=$((killed + 1))
+        fi
+    done
+done
+same_as_alone arrays
+say "the same bytes; $killed units were killed"
+[ "$killed" = "$kills" ]
