@@ -51,7 +51,7 @@ impl Encoding {
 }
 
 /// The transfer curve of sRGB (IEC 61966-2-1).
-fn srgb(linear: f64) -> f64 {
+pub(crate) fn srgb(linear: f64) -> f64 {
     if linear <= 0.003_130_8 {
         12.92 * linear
     } else {

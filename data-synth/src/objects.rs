@@ -12,6 +12,7 @@ mod trace;
 
 pub use request::{Capture, Look, ObjectRequest};
 
+use crate::encoding::srgb;
 use crate::error::SynthError;
 use crate::ray::Ray;
 use crate::write::Staging;
@@ -234,13 +235,7 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Look
 
 /// Transfer curve of sRGB (IEC 61966-2-1) to 8 bits.
 fn display(linear: f64) -> u8 {
-    let x = linear.clamp(0.0, 1.0);
-    let encoded = if x <= 0.003_130_8 {
-        12.92 * x
-    } else {
-        1.055 * x.powf(1.0 / 2.4) - 0.055
-    };
-    (encoded * 255.0).round() as u8
+    (srgb(linear.clamp(0.0, 1.0)) * 255.0).round() as u8
 }
 
 fn save(staging: &Staging, relative: &str, picture: DynamicImage) -> Result<(), SynthError> {

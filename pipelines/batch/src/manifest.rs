@@ -127,7 +127,8 @@ pub struct ImagesEntry {
     /// Path of the scene, as for `train`; relative to the manifest.
     pub scene: PathBuf,
     /// Preferred camera model where the sources of an image differ: `json`, `image`, `sidecar` or `tag`.
-    pub rpc: Option<String>,
+    #[serde(default)]
+    pub rpc: RpcPreference,
 }
 
 /// Preset with its overrides.
@@ -203,22 +204,64 @@ impl AreaEntry {
     }
 }
 
-impl ImagesEntry {
-    /// Preferred camera model if the sources of an image differ; `json` unless stated.
-    pub fn preference(&self) -> RpcPreference {
-        match self.rpc.as_deref() {
-            Some("image") => RpcPreference::Image,
-            Some("sidecar") => RpcPreference::Sidecar,
-            Some("tag") => RpcPreference::Tag,
-            _ => RpcPreference::Json,
-        }
-    }
-}
-
 impl TileOptions {
     /// Most memory for one tile, bytes; `None` if it is no size.
     pub fn memory_bytes(&self) -> Option<u64> {
         bytes(&self.memory).ok()
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.memory_bytes().is_none() {
+            return Err(format!(
+                "tiles.memory is '{}', expected a size such as 4GiB",
+                self.memory
+            ));
+        }
+        let positive = |v: f64| v > 0.0 && v.is_finite();
+        for (key, value, fits) in [
+            (
+                "overlap_m",
+                self.overlap_m,
+                self.overlap_m >= 0.0 && self.overlap_m.is_finite(),
+            ),
+            ("residual_px", self.residual_px, positive(self.residual_px)),
+            ("gsd_m", self.gsd_m.unwrap_or(1.0), self.gsd_m.is_none_or(positive)),
+        ] {
+            if !fits {
+                return Err(format!("tiles.{key} is {value}, expected a finite number above zero"));
+            }
+        }
+        if let Some(side_m) = self.side_m.filter(|side_m| !(LEAST_SIDE_M..=1e6).contains(side_m)) {
+            return Err(format!("tiles.side_m is {side_m}, expected {LEAST_SIDE_M} m or more"));
+        }
+        if !BLOCK_CELLS.contains(&self.block) {
+            let [least, most] = [BLOCK_CELLS.start(), BLOCK_CELLS.end()];
+            return Err(format!(
+                "tiles.block is {}, expected {least} to {most} cells",
+                self.block
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl ProductOptions {
+    fn check(&self) -> Result<(), String> {
+        if let Some([azimuth, elevation]) = self.sun
+            && (SunPosition::stated(azimuth, elevation).is_err() || elevation < LOWEST_SUN_DEG)
+        {
+            return Err(format!(
+                "products.sun is [{azimuth}, {elevation}], expected azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon"
+            ));
+        }
+        if let Some(days) = &self.sun_hours {
+            days.parse::<Period>()
+                .map_err(|reason| format!("products.sun_hours: {reason}"))?;
+        }
+        if self.dsm_only && (self.sun_hours.is_some() || self.globe) {
+            return Err("products.dsm_only leaves sun_hours and globe out; say one or the other".into());
+        }
+        Ok(())
     }
 }
 
@@ -288,51 +331,8 @@ impl Manifest {
                 OBJECT_STORES.join(", ")
             ));
         }
-        let tiles = &self.tiles;
-        if tiles.memory_bytes().is_none() {
-            return Err(format!(
-                "tiles.memory is '{}', expected a size such as 4GiB",
-                tiles.memory
-            ));
-        }
-        let positive = |v: f64| v > 0.0 && v.is_finite();
-        for (key, value, fits) in [
-            (
-                "overlap_m",
-                tiles.overlap_m,
-                tiles.overlap_m >= 0.0 && tiles.overlap_m.is_finite(),
-            ),
-            ("residual_px", tiles.residual_px, positive(tiles.residual_px)),
-            ("gsd_m", tiles.gsd_m.unwrap_or(1.0), tiles.gsd_m.is_none_or(positive)),
-        ] {
-            if !fits {
-                return Err(format!("tiles.{key} is {value}, expected a finite number above zero"));
-            }
-        }
-        if let Some(side_m) = tiles.side_m.filter(|side_m| !(LEAST_SIDE_M..=1e6).contains(side_m)) {
-            return Err(format!("tiles.side_m is {side_m}, expected {LEAST_SIDE_M} m or more"));
-        }
-        if !BLOCK_CELLS.contains(&tiles.block) {
-            let [least, most] = [BLOCK_CELLS.start(), BLOCK_CELLS.end()];
-            return Err(format!(
-                "tiles.block is {}, expected {least} to {most} cells",
-                tiles.block
-            ));
-        }
-        if let Some([azimuth, elevation]) = self.products.sun
-            && (SunPosition::stated(azimuth, elevation).is_err() || elevation < LOWEST_SUN_DEG)
-        {
-            return Err(format!(
-                "products.sun is [{azimuth}, {elevation}], expected azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon"
-            ));
-        }
-        if let Some(days) = &self.products.sun_hours {
-            days.parse::<Period>()
-                .map_err(|reason| format!("products.sun_hours: {reason}"))?;
-        }
-        if self.products.dsm_only && (self.products.sun_hours.is_some() || self.products.globe) {
-            return Err("products.dsm_only leaves sun_hours and globe out; say one or the other".into());
-        }
+        self.tiles.check()?;
+        self.products.check()?;
         for area in &self.areas {
             if let Some(request) = area.request() {
                 request
@@ -343,11 +343,6 @@ impl Manifest {
                 if !self.images.iter().any(|images| images.name == *name) {
                     return Err(format!("area {}: there are no images named '{name}'", area.name));
                 }
-            }
-        }
-        for images in &self.images {
-            if !matches!(images.rpc.as_deref(), None | Some("json" | "image" | "sidecar" | "tag")) {
-                return Err(format!("images {}: rpc is json, image, sidecar or tag", images.name));
             }
         }
         for preset in &self.presets {

@@ -218,10 +218,10 @@ impl Parts {
 fn read_window(path: &Path, window: Window, size: (usize, usize)) -> Result<Raster, RasterError> {
     let file = RasterFile::open(path)?;
     if file.size() != size {
-        return Err(RasterError::Damaged {
-            path: path.to_owned(),
-            reason: "it is not on the grid of its surface model".into(),
-        });
+        return Err(RasterError::Damaged(
+            path.to_owned(),
+            "it is not on the grid of its surface model".into(),
+        ));
     }
     let bands: Vec<usize> = (0..file.bands.len()).collect();
     file.read(window, &bands)

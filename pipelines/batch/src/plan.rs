@@ -395,7 +395,7 @@ fn units_of(
     let options = IngestOptions {
         altitude_range_m: area.altitude_m.map(|[low, high]| (low, high)),
         altitude_from_ties_m: None,
-        rpc: images.preference(),
+        rpc: images.rpc,
         area: area.request(),
     };
     // Once for all tiles, so that they have one altitude range.
@@ -495,7 +495,7 @@ impl Combination<'_> {
             patches,
             altitude_m: self.area.altitude_m,
             altitude_from_ties_m: self.altitude_from_ties_m,
-            rpc: self.images.preference(),
+            rpc: self.images.rpc,
             preset: self.preset.clone(),
         };
         let said = format!(
@@ -536,7 +536,7 @@ impl Combination<'_> {
             area: tile.area.clone(),
             altitude_m: self.area.altitude_m,
             altitude_from_ties_m: self.altitude_from_ties_m,
-            rpc: self.images.preference(),
+            rpc: self.images.rpc,
             cameras: cameras.map(|unit| unit.id.clone()),
             preset: self.preset.clone(),
             crs: tiling.crs.clone(),

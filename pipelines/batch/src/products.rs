@@ -289,7 +289,7 @@ fn globe(
         grid: mosaic.grid.clone(),
         geoid: None,
     };
-    let exported = export::Mosaic::new(folder, dsm, albedo, tiles, reference)?;
+    let exported = Subject::Mosaic(Box::new(export::Mosaic::new(folder, dsm, albedo, tiles, reference)?));
     for (name, tiles_of_mesh) in [(SPLATS, false), (SURFACE, true)] {
         let request = export::Request {
             tiles: Some(folder.join(name)),
@@ -297,7 +297,7 @@ fn globe(
             sun,
             ..export::Request::default()
         };
-        match export::write(Subject::Mosaic(&exported), &request) {
+        match export::write(&exported, &request) {
             // A block at the rim of an area may hold a few cells alone.
             Err(ExportError::NoSurface(_)) if reference.is_some() => (),
             written => drop(written?),

@@ -137,7 +137,7 @@ fn tile(
     };
     let begun = Instant::now();
     let scene = match scene_of(work, &ingest) {
-        Err(SceneError::NotCovered { .. }) => {
+        Err(SceneError::NotCovered(..)) => {
             tracing::warn!(
                 "{}: fewer than two images have pixels here, so that it has no surface",
                 unit.id
@@ -308,7 +308,7 @@ fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Res
         let made = mosaic.dsm.geo_raster();
         match evaluate_raster((&path, &made), truth, work.classes.as_deref(), Protocol::Raw) {
             // The truth may show another part of the area.
-            Err(EvaluateError::Apart { .. }) if is_block => (),
+            Err(EvaluateError::Apart(..)) if is_block => (),
             evaluation => {
                 let evaluation = evaluation?;
                 metrics["dsm"] = measure::surface_metrics(&evaluation);

@@ -1,7 +1,8 @@
 //! Acquisition time of an image, and position of the sun.
 
 use super::entry::ImageEntry;
-use super::files::{Folders, file_name};
+use super::files::Folders;
+use super::names::file_name;
 use super::sidecars::describing_texts;
 use super::{ImageSun, SceneError};
 use heliosplat_raster::RasterFile;

@@ -1,7 +1,8 @@
 //! Kinds of the bands of a file: from descriptions, metadata, the sensor or the colour interpretation, and from the
 //! number of bands if all of these are missing.
 
-use super::files::{Folders, has_extension, stem};
+use super::files::Folders;
+use super::names::{has_extension, stem};
 use super::sidecars::belonging_texts;
 use super::{BandKind, SceneError};
 use heliosplat_raster::{BandInfo, Colour, RasterFile};
@@ -33,14 +34,14 @@ pub(super) fn plan(
     }
     if let Some(declared) = declared {
         if declared.len() != file.bands.len() {
-            return Err(SceneError::Manifest {
-                path: file.path().to_owned(),
-                reason: format!(
+            return Err(SceneError::Manifest(
+                file.path().to_owned(),
+                format!(
                     "it has {} bands, but scene.toml declares {}; correct `bands` there",
                     file.bands.len(),
                     declared.len()
                 ),
-            });
+            ));
         }
         return Ok(ordered(declared, &(0..declared.len()).collect::<Vec<_>>(), None, None));
     }

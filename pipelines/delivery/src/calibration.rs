@@ -2,7 +2,8 @@
 
 use super::SceneError;
 use super::entry::ImageEntry;
-use super::files::{Folders, file_name};
+use super::files::Folders;
+use super::names::file_name;
 use super::sidecars::describing_texts;
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::read::calibration::{self, Calibration, Radiometry};

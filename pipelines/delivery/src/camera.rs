@@ -1,8 +1,8 @@
 //! The rational camera of an image: selection among its sources, and conversion for a crop.
 
-use super::dimap::folder_of;
 use super::entry::ImageEntry;
-use super::files::{Folders, file_name};
+use super::files::Folders;
+use super::names::{file_name, folder_of};
 use super::sidecars::belonging_texts;
 use super::{RpcPreference, SceneError};
 use heliosplat_raster::{Crs, GeoTransform, RasterFile};
@@ -88,7 +88,7 @@ pub(super) fn find(
         return Err(match unread.is_empty() {
             false => {
                 let (path, reason) = unread.remove(0);
-                SceneError::BadRpc { path, reason }
+                SceneError::BadRpc(path, reason)
             }
             true if map_frame(file).is_some() => SceneError::MapProjected(path()),
             true => SceneError::NoRpc(path()),
@@ -122,10 +122,8 @@ pub(super) fn map_frame(file: &RasterFile) -> Option<(GeoTransform, Crs)> {
 /// [`SceneError::BadRpc`] when the file contains no camera.
 pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCamera, SceneError> {
     let text = folders.text(path)?;
-    let rpc = read::rpc_from_text(&file_name(path), &text).map_err(|error| SceneError::BadRpc {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    })?;
+    let rpc = read::rpc_from_text(&file_name(path), &text)
+        .map_err(|error| SceneError::BadRpc(path.to_owned(), error.to_string()))?;
     Ok(FoundCamera {
         rpc,
         source: file_name(path),

@@ -1,10 +1,11 @@
 //! DIMAP files (`DIM_*.XML`) beside images: the tiles of one image, whatever their names.
 
 use super::SceneError;
-use super::files::{Folders, file_name, has_extension};
+use super::names::{file_name, has_extension};
 use heliosplat_rpc::read::{DataFile, DataFiles, data_files};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
+use std::rc::Rc;
 
 /// Beginning of the names of DIMAP files, in lower case.
 pub(super) const PREFIX: &str = "dim_";
@@ -27,12 +28,16 @@ pub(super) struct Dimaps {
 
 impl Dimaps {
     /// Reads the DIMAPs of a folder.
-    pub(super) fn read(folder: &Path, folders: &Folders) -> Result<Self, SceneError> {
+    pub(super) fn read(
+        folder: &Path,
+        files: Vec<PathBuf>,
+        text: impl Fn(&Path) -> Result<Rc<str>, SceneError>,
+    ) -> Result<Self, SceneError> {
         let is_dimap =
             |path: &PathBuf| has_extension(path, &["xml"]) && file_name(path).to_lowercase().starts_with(PREFIX);
         let mut found = Self::default();
-        for path in folders.files(folder)?.into_iter().filter(is_dimap) {
-            let Some(files) = data_files(&folders.text(&path)?) else {
+        for path in files.into_iter().filter(is_dimap) {
+            let Some(files) = data_files(&text(&path)?) else {
                 continue;
             };
             for listed in files.images.iter().flatten().filter_map(|file| place(folder, file)) {
@@ -43,6 +48,36 @@ impl Dimaps {
             found.all.push((path, files));
         }
         Ok(found)
+    }
+
+    /// Images with several tiles of this folder's DIMAPs, at least one of which is in `files`.
+    ///
+    /// # Errors
+    /// [`SceneError::MissingTile`] when a tile of such an image does not exist.
+    pub(super) fn tiled(&self, folder: &Path, files: &BTreeSet<&PathBuf>) -> Result<Vec<ListedTiles>, SceneError> {
+        let mut found = Vec::new();
+        for (dimap, DataFiles { images, step_px }) in &self.all {
+            for listed in images.iter().filter(|listed| listed.len() > 1) {
+                let tiles = listed.iter().filter_map(|file| Some((file.tile, place(folder, file)?)));
+                let tiles: BTreeMap<[u32; 2], PathBuf> = tiles.collect();
+                if !tiles.values().any(|tile| files.contains(tile)) {
+                    continue;
+                }
+                if let Some(tile) = tiles.values().find(|tile| !tile.is_file()) {
+                    return Err(SceneError::MissingTile(tile.clone(), dimap.clone()));
+                }
+                found.push(ListedTiles {
+                    tiles,
+                    step_px: *step_px,
+                });
+            }
+        }
+        Ok(found)
+    }
+
+    /// The DIMAP that lists an image of this folder; `None` where there is none.
+    pub(super) fn of_image(&self, image: &Path) -> Option<&PathBuf> {
+        self.of_file.get(&file_name(image))
     }
 }
 
@@ -57,52 +92,6 @@ fn place(folder: &Path, file: &DataFile) -> Option<PathBuf> {
         .filter(|part| *part != Component::CurDir)
         .collect();
     below.then(|| folder.join(names))
-}
-
-/// The folder of an image; `.` for a bare file name.
-pub(super) fn folder_of(image: &Path) -> &Path {
-    image
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or_else(|| Path::new("."))
-}
-
-/// Images with several tiles in a DIMAP, at least one of which is in `files`.
-///
-/// # Errors
-/// [`SceneError::MissingTile`] when a tile of such an image does not exist.
-pub(super) fn tiled(files: &[PathBuf], folders: &Folders) -> Result<Vec<ListedTiles>, SceneError> {
-    let parents: BTreeSet<&Path> = files.iter().map(|path| folder_of(path)).collect();
-    let files: BTreeSet<&PathBuf> = files.iter().collect();
-    let mut found = Vec::new();
-    for folder in parents {
-        for (dimap, DataFiles { images, step_px }) in &folders.dimaps(folder)?.all {
-            for listed in images.iter().filter(|listed| listed.len() > 1) {
-                let tiles = listed.iter().filter_map(|file| Some((file.tile, place(folder, file)?)));
-                let tiles: BTreeMap<[u32; 2], PathBuf> = tiles.collect();
-                if !tiles.values().any(|tile| files.contains(tile)) {
-                    continue;
-                }
-                if let Some(tile) = tiles.values().find(|tile| !tile.is_file()) {
-                    return Err(SceneError::MissingTile {
-                        tile: tile.clone(),
-                        dimap: dimap.clone(),
-                    });
-                }
-                found.push(ListedTiles {
-                    tiles,
-                    step_px: *step_px,
-                });
-            }
-        }
-    }
-    Ok(found)
-}
-
-/// The DIMAP in an image's folder that lists the image; `None` where there is none.
-pub(super) fn of_image(image: &Path, folders: &Folders) -> Result<Option<PathBuf>, SceneError> {
-    let dimaps = folders.dimaps(folder_of(image))?;
-    Ok(dimaps.of_file.get(&file_name(image)).cloned())
 }
 
 #[cfg(test)]

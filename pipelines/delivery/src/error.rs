@@ -27,57 +27,27 @@ pub enum SceneError {
         /// Largest number of bands.
         most: usize,
     },
-    /// A folder that cannot be listed, or a text that cannot be read.
-    #[error("{}: cannot be read ({reason})", path.display())]
-    Unreadable {
-        /// File or folder.
-        path: PathBuf,
-        /// Reason, in words.
-        reason: String,
-    },
+    /// A folder that cannot be listed, or a text that cannot be read. Fields: file or folder, reason, in words.
+    #[error("{}: cannot be read ({})", .0.display(), .1)]
+    Unreadable(PathBuf, String),
     /// A folder without images.
     #[error("{}: no images found (looked for .tif, .tiff, .jp2, .ntf, .nitf, .img); give a folder of images or a scene.toml", .0.display())]
     Empty(PathBuf),
-    /// A folder with several scenes.
-    #[error("{}: holds several scenes ({candidates}); give one of them", path.display())]
-    Several {
-        /// The folder.
-        path: PathBuf,
-        /// Paths of the scenes, in one line.
-        candidates: String,
-    },
-    /// An area that fewer than two training images show.
-    #[error("{}: fewer than two training images show the area {area}; give another --area", path.display())]
-    NotCovered {
-        /// The scene.
-        path: PathBuf,
-        /// The area, in words.
-        area: String,
-    },
-    /// A `scene.toml` or another list that cannot be parsed.
-    #[error("{}: {reason}", path.display())]
-    Manifest {
-        /// The file.
-        path: PathBuf,
-        /// Reason and remedy.
-        reason: String,
-    },
-    /// A listed image that does not exist.
-    #[error("{image}: listed in {} but not found; put it beside that file or in a folder named images", listed_in.display())]
-    MissingImage {
-        /// The image's name as listed.
-        image: String,
-        /// The file that lists it.
-        listed_in: PathBuf,
-    },
-    /// A tile that a DIMAP lists and that does not exist.
-    #[error("{}: a tile of the image that {} describes, but it is not there; copy it from the delivery, or leave out that image with its other tiles", tile.display(), dimap.display())]
-    MissingTile {
-        /// The tile.
-        tile: PathBuf,
-        /// The DIMAP.
-        dimap: PathBuf,
-    },
+    /// A folder with several scenes. Fields: the folder, paths of the scenes, in one line.
+    #[error("{}: holds several scenes ({}); give one of them", .0.display(), .1)]
+    Several(PathBuf, String),
+    /// An area that fewer than two training images show. Fields: the scene, the area, in words.
+    #[error("{}: fewer than two training images show the area {}; give another --area", .0.display(), .1)]
+    NotCovered(PathBuf, String),
+    /// A `scene.toml` or another list that cannot be parsed. Fields: the file, reason and remedy.
+    #[error("{}: {}", .0.display(), .1)]
+    Manifest(PathBuf, String),
+    /// A listed image that does not exist. Fields: the image's name as listed, the file that lists it.
+    #[error("{}: listed in {} but not found; put it beside that file or in a folder named images", .0, .1.display())]
+    MissingImage(String, PathBuf),
+    /// A tile that a DIMAP lists and that does not exist. Fields: the tile, the DIMAP.
+    #[error("{}: a tile of the image that {} describes, but it is not there; copy it from the delivery, or leave out that image with its other tiles", .0.display(), .1.display())]
+    MissingTile(PathBuf, PathBuf),
     /// An image without a camera.
     #[error("{}: no RPC camera found; put its .RPB, _RPC.TXT, RPC_*.XML or .json beside it, or take the image out of the scene", .0.display())]
     NoRpc(PathBuf),
@@ -87,14 +57,9 @@ pub enum SceneError {
     /// A failed check of severity error; the text is its message.
     #[error("{0}")]
     Refused(String),
-    /// A camera file that cannot be parsed.
-    #[error("{}: its RPC camera cannot be read ({reason}); replace it or delete it", path.display())]
-    BadRpc {
-        /// The camera file, or the image whose tag it is.
-        path: PathBuf,
-        /// Reason, in words.
-        reason: String,
-    },
+    /// A camera file that cannot be parsed. Fields: the camera file, or the image whose tag it is, reason, in words.
+    #[error("{}: its RPC camera cannot be read ({}); replace it or delete it", .0.display(), .1)]
+    BadRpc(PathBuf, String),
     /// A camera that cannot be inverted over its image.
     #[error("{}: its RPC camera does not work over this image at {height_m:.0} m ({source}); it may belong to another image, or the altitude range is wrong (--altitude MIN,MAX)", path.display())]
     Camera {
@@ -133,14 +98,9 @@ pub enum SceneError {
     /// An image whose pixels are all missing or zero.
     #[error("{}: every pixel is missing or zero; take the image out of the scene", .0.display())]
     NoPixels(PathBuf),
-    /// Fewer than two views to train on.
-    #[error("{}: {count} training image{}; at least two overlapping views are needed", path.display(), if *count == 1 { "" } else { "s" })]
-    TooFewViews {
-        /// The scene.
-        path: PathBuf,
-        /// Number of training images.
-        count: usize,
-    },
+    /// Fewer than two views to train on. Fields: the scene, number of training images.
+    #[error("{}: {} training image{}; at least two overlapping views are needed", .0.display(), .1, if *.1 == 1 { "" } else { "s" })]
+    TooFewViews(PathBuf, usize),
     /// Images whose footprints do not overlap.
     #[error("{}: does not overlap {} at {altitude_m:.0} m altitude; give images of one place, or correct the altitude range (--altitude MIN,MAX)", first.display(), second.display())]
     NoOverlap {

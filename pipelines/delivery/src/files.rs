@@ -2,14 +2,12 @@
 
 use super::SceneError;
 use super::dimap::Dimaps;
+use super::names::{IMAGE_EXTENSIONS, file_name, folder_of, has_extension, is_truth, mask_of, stem};
 use heliosplat_raster::bounded;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
-
-/// Extensions of images, in lower case.
-pub(super) const IMAGE_EXTENSIONS: [&str; 6] = ["tif", "tiff", "jp2", "ntf", "nitf", "img"];
 
 /// Cache of folders, texts and DIMAPs while a scene is opened: each folder is listed once, each text read once, each
 /// DIMAP parsed once.
@@ -85,7 +83,7 @@ impl Folders {
         if let Some(known) = self.dimaps.borrow().get(folder) {
             return Ok(Rc::clone(known));
         }
-        let dimaps = Rc::new(Dimaps::read(folder, self)?);
+        let dimaps = Rc::new(Dimaps::read(folder, self.files(folder)?, |path| self.text(path))?);
         self.dimaps.borrow_mut().insert(folder.to_owned(), Rc::clone(&dimaps));
         Ok(dimaps)
     }
@@ -101,10 +99,7 @@ impl Folders {
 }
 
 fn unreadable(path: &Path, error: &std::io::Error) -> SceneError {
-    SceneError::Unreadable {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    }
+    SceneError::Unreadable(path.to_owned(), error.to_string())
 }
 
 fn listed(folder: &Path) -> Result<Vec<Entry>, SceneError> {
@@ -130,31 +125,11 @@ fn listed(folder: &Path) -> Result<Vec<Entry>, SceneError> {
     Ok(found)
 }
 
-/// True if the name of a raster marks it as truth: `*_DSM.tif`, `*_CLS.tif`, `*_DTM.tif` and similar names, or a name
-/// that this program writes.
-pub(super) fn is_truth(path: &Path) -> bool {
-    let name = stem(path).to_lowercase();
-    let ends = ["_dsm", "_dtm", "_cls", "_cls_v2", "_agl", "_water"];
-    ["dsm", "classes", "albedo", "water"].contains(&name.as_str())
-        || name.starts_with("shadow_")
-        || name.starts_with("cloud_")
-        || ends.iter().any(|end| name.ends_with(end))
-}
-
-/// Common part of the names of a mask and its images, in lower case: the name without `_udm`, `_udm2` or `_udm2_clip`
-/// (Planet), or without `_mask`, `_cloud` or `_clouds`; `None` for any other file.
-fn mask_of(path: &Path) -> Option<String> {
-    let name = stem(path).to_lowercase();
-    let whole = name.strip_suffix("_clip").unwrap_or(&name);
-    let ends = ["_udm2", "_udm", "_mask", "_clouds", "_cloud"];
-    ends.iter().find_map(|end| whole.strip_suffix(end)).map(str::to_owned)
-}
-
 /// Planet's mask of unusable pixels for an image: `x_3B_udm2` or `x_3B_AnalyticMS_DN_udm` for `x_3B_AnalyticMS`. `udm2`
 /// is preferred to `udm`.
 pub(super) fn usable_mask(image: &Path, folders: &Folders) -> Option<PathBuf> {
     let name = stem(image).to_lowercase();
-    let masks = folders.files(super::dimap::folder_of(image)).unwrap_or_default();
+    let masks = folders.files(folder_of(image)).unwrap_or_default();
     let fits = |path: &PathBuf| {
         // Only whole parts of names match: `x_1` is no beginning of `x_10`.
         let begins = |of: String| {
@@ -229,22 +204,6 @@ fn published_in(folder: &Path, folders: &Folders) -> Vec<PathBuf> {
     };
     let inside = folders.folders(folder).unwrap_or_default().into_iter();
     inside.filter(is_published).collect()
-}
-
-/// File name without its extension.
-pub(super) fn stem(path: &Path) -> String {
-    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// File name as text.
-pub(super) fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// True if a path has one of the `extensions`, in upper or lower case.
-pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
-    let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    extensions.contains(&extension.as_str())
 }
 
 #[cfg(test)]

@@ -4,10 +4,9 @@ use super::SceneError;
 use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use heliosplat_raster::virtual_files::read_virtual;
 use heliosplat_raster::write::write_atomically;
-use heliosplat_raster::{RasterError, is_virtual};
+use heliosplat_raster::{RasterError, is_virtual, sha256};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -31,35 +30,14 @@ impl FileIdentity {
     /// True if the file has the same size and modification time, or the same content. False for a missing file.
     pub fn is_unchanged(&self) -> bool {
         let now = seen(&self.path);
-        now == self.seen || (now.bytes == self.seen.bytes && hash(&self.path).is_ok_and(|sha256| sha256 == self.sha256))
+        now == self.seen
+            || (now.bytes == self.seen.bytes && sha256::of_file(&self.path).is_ok_and(|sum| sum == self.sha256))
     }
 }
 
-/// SHA-256 of a file, hexadecimal.
-///
-/// # Errors
-/// [`SceneError::Unreadable`] when the file cannot be read.
-pub fn hash(path: &Path) -> Result<String, SceneError> {
-    hash_of_start(path, u64::MAX)
-}
-
-/// SHA-256 of the first `bytes` of a file, hexadecimal.
-fn hash_of_start(path: &Path, bytes: u64) -> Result<String, SceneError> {
-    let unreadable = |error: std::io::Error| SceneError::Unreadable {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    };
-    let file = std::fs::File::open(path).map_err(unreadable)?;
-    let mut hasher = Sha256::new();
-    std::io::copy(&mut file.take(bytes), &mut hasher).map_err(unreadable)?;
-    Ok(hex::encode(hasher.finalize()))
-}
-
-/// SHA-256 of the little-endian bytes of `values`, hexadecimal.
-pub fn hash_of_values(values: &[f32]) -> String {
-    let mut hasher = Sha256::new();
-    values.iter().for_each(|value| hasher.update(value.to_le_bytes()));
-    hex::encode(hasher.finalize())
+/// SHA-256 of a file, or the error that names it.
+fn sum(path: &Path, of: impl FnOnce(&Path) -> std::io::Result<String>) -> Result<String, SceneError> {
+    of(path).map_err(|error| SceneError::Unreadable(path.to_owned(), error.to_string()))
 }
 
 /// Size and modification time of a file; zero where unavailable.
@@ -119,7 +97,7 @@ impl Hashes {
         let now = seen(path);
         let sha256 = match self.known.get(path).filter(|(then, _)| *then == now) {
             Some((_, sha256)) => sha256.clone(),
-            None => hash(path)?,
+            None => sum(path, sha256::of_file)?,
         };
         self.known.insert(path.to_owned(), (now, sha256.clone()));
         Ok(FileIdentity {
@@ -152,7 +130,8 @@ impl Hashes {
                 continue;
             } else if rasters.contains(file.as_path()) {
                 let Seen { bytes, changed_ns } = seen(file);
-                text += &format!("{name} {bytes} {changed_ns} {}\n", hash_of_start(file, HEADER_BYTES)?);
+                let header = sum(file, |file| sha256::of_start(file, HEADER_BYTES))?;
+                text += &format!("{name} {bytes} {changed_ns} {header}\n");
             } else {
                 text += &format!("{name} {}\n", self.identify(file)?.sha256);
             }

@@ -7,6 +7,7 @@ use super::checks::{self, Finding, Severity};
 use super::draft::Draft;
 use super::files::{self, Folders};
 use super::manifest::Counts;
+use super::names;
 use super::{
     Hashes, ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times,
 };
@@ -277,10 +278,10 @@ fn sibling_files(image: &Path, folders: &Folders) -> Vec<PathBuf> {
     if is_virtual(image) {
         return Vec::new();
     }
-    let stem = files::stem(image);
-    let beside = folders.files(super::dimap::folder_of(image)).unwrap_or_default();
+    let stem = names::stem(image);
+    let beside = folders.files(names::folder_of(image)).unwrap_or_default();
     beside
         .into_iter()
-        .filter(|path| files::file_name(path).contains(&stem))
+        .filter(|path| names::file_name(path).contains(&stem))
         .collect()
 }

@@ -2,8 +2,9 @@
 //! (JSON) and truth may lie in separate folders.
 
 use super::entry::ImageEntry;
-use super::files::{Folders, IMAGE_EXTENSIONS, file_name, has_extension, is_own_folder, neighbours, stem};
+use super::files::{Folders, is_own_folder, neighbours};
 use super::manifest::{Counts, Manifest, reject_address};
+use super::names::{IMAGE_EXTENSIONS, file_name, has_extension, stem};
 use super::satnerf::{self, JsonIndex};
 use super::stacks;
 use super::tiles::ImageFiles;
@@ -42,18 +43,18 @@ pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError>
         return if has_extension(path, &["toml"]) {
             from_manifest(path, folders)
         } else {
-            Err(SceneError::Manifest {
-                path: path.to_owned(),
-                reason: "a scene is a folder of images or a scene.toml; give the folder this file is in".to_owned(),
-            })
+            Err(SceneError::Manifest(
+                path.to_owned(),
+                "a scene is a folder of images or a scene.toml; give the folder this file is in".to_owned(),
+            ))
         };
     }
     if !path.is_dir() {
         return Err(if path.exists() {
-            SceneError::Unreadable {
-                path: path.to_owned(),
-                reason: "it is a device or a pipe; give a folder of images or a scene.toml".to_owned(),
-            }
+            SceneError::Unreadable(
+                path.to_owned(),
+                "it is a device or a pipe; give a folder of images or a scene.toml".to_owned(),
+            )
         } else {
             SceneError::Missing(path.to_owned())
         });
@@ -372,10 +373,7 @@ fn scene_folder(folder: &Path, folders: &Folders, warnings: &mut Vec<String>) ->
             warnings.extend(warning);
             Ok(by_itself(home))
         }
-        _ => Err(SceneError::Several {
-            path: folder.to_owned(),
-            candidates: listed(&candidates),
-        }),
+        _ => Err(SceneError::Several(folder.to_owned(), listed(&candidates))),
     }
 }
 
@@ -427,10 +425,8 @@ impl SplitLists {
             if !path.is_file() {
                 return Ok(None);
             }
-            let text = heliosplat_raster::bounded::read_text_lossy(&path).map_err(|error| SceneError::Unreadable {
-                path,
-                reason: error.to_string(),
-            })?;
+            let text = heliosplat_raster::bounded::read_text_lossy(&path)
+                .map_err(|error| SceneError::Unreadable(path, error.to_string()))?;
             let names = text.lines().map(str::trim).filter(|line| !line.is_empty());
             Ok(Some(names.map(|name| stem(Path::new(name))).collect()))
         };

@@ -20,6 +20,7 @@ mod identity;
 mod index;
 mod layout;
 mod manifest;
+mod names;
 mod pair_names;
 mod pairs;
 mod relit_truth;
@@ -36,7 +37,7 @@ pub use bands::{BandPlan, in_words as bands_in_words};
 pub use calibration::FoundRadiometry;
 pub use checks::{Finding, Severity};
 pub use error::SceneError;
-pub use identity::{FileIdentity, Hashes, Seen, hash, hash_of_values, seen};
+pub use identity::{FileIdentity, Hashes, Seen, seen};
 pub use index::{Index, IndexImage};
 pub use manifest::Counts;
 pub use relit_truth::{RelitTruth, relit_truth};
@@ -160,12 +161,12 @@ pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneErr
         return Err(SceneError::Missing(path.to_owned()));
     }
     let folders = Folders::default();
-    if files::has_extension(path, &["rpb", "txt", "xml", "json", "rpc"]) {
+    if names::has_extension(path, &["rpb", "txt", "xml", "json", "rpc"]) {
         return camera::from_text_file(path, &folders).map(|found| found.rpc);
     }
     let file = RasterFile::open(path)?;
     let entry = ImageEntry {
-        name: files::stem(path),
+        name: names::stem(path),
         path: path.to_owned(),
         split: Split::Train,
         json: satnerf::json_of(path, &folders),

@@ -94,14 +94,9 @@ impl Manifest {
 
     /// Reads and checks a `scene.toml`; paths are resolved against its folder.
     pub(super) fn read(path: &Path) -> Result<Self, SceneError> {
-        let fault = |reason: String| SceneError::Manifest {
-            path: path.to_owned(),
-            reason,
-        };
-        let text = heliosplat_raster::bounded::read_text(path).map_err(|error| SceneError::Unreadable {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        })?;
+        let fault = |reason: String| SceneError::Manifest(path.to_owned(), reason);
+        let text = heliosplat_raster::bounded::read_text(path)
+            .map_err(|error| SceneError::Unreadable(path.to_owned(), error.to_string()))?;
         let mut manifest = Self::parse(&text).map_err(fault)?;
         let folder = path.parent().unwrap_or_else(|| Path::new("."));
         for image in &mut manifest.images {

@@ -1,7 +1,7 @@
 //! Panchromatic and multispectral files of one acquisition recognised by vendors' names: `-P1BS-` and `-M1BS-` of
 //! Maxar, `_P_` and `_MS_` of Airbus, `PAN` and `MSS` or `MUX` of GaoFen and SuperView.
 
-use super::files::stem;
+use super::names::stem;
 use super::tiles::ImageFiles;
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -7,7 +7,7 @@ use super::bands;
 use super::draft::Draft;
 use super::entry::ImageEntry;
 use super::files::Folders;
-use super::files::stem;
+use super::names::stem;
 use super::tiles::ImageFiles;
 use super::{BandKind, RpcPreference, SceneError, Split, acquisition, calibration, camera, satnerf};
 use heliosplat_raster::{GridRelation, RasterFile};

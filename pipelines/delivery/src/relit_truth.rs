@@ -37,14 +37,9 @@ struct Entry {
 /// and [`SceneError::MissingImage`] where a raster is missing.
 pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>, SceneError> {
     let list = folder.join(LIST);
-    let text = heliosplat_raster::bounded::read_text(&list).map_err(|error| SceneError::Unreadable {
-        path: list.clone(),
-        reason: error.to_string(),
-    })?;
-    let fault = |reason: String| SceneError::Manifest {
-        path: list.clone(),
-        reason,
-    };
+    let text = heliosplat_raster::bounded::read_text(&list)
+        .map_err(|error| SceneError::Unreadable(list.clone(), error.to_string()))?;
+    let fault = |reason: String| SceneError::Manifest(list.clone(), reason);
     let entries: Vec<Entry> = serde_json::from_str(&text).map_err(|error| fault(error.to_string()))?;
     if !(1..=MOST_SUNS).contains(&entries.len()) {
         return Err(fault(format!(
@@ -55,10 +50,7 @@ pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>, SceneError> {
     let truth = |(number, entry): (usize, Entry)| {
         let here = |name: String| match folder.join(&name) {
             path if path.is_file() => Ok(path),
-            _ => Err(SceneError::MissingImage {
-                image: name,
-                listed_in: list.clone(),
-            }),
+            _ => Err(SceneError::MissingImage(name, list.clone())),
         };
         Ok(RelitTruth {
             sun: SunPosition::stated(entry.sun_azimuth_deg, entry.sun_elevation_deg).map_err(fault)?,

@@ -1,7 +1,8 @@
 //! JSON files of Sat-NeRF and EOGS: name and altitudes of each image.
 
 use super::SceneError;
-use super::files::{Folders, file_name, has_extension, neighbours, stem};
+use super::files::{Folders, neighbours};
+use super::names::{file_name, has_extension, stem};
 use heliosplat_raster::RasterFile;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -130,10 +131,7 @@ impl JsonIndex {
             match available.get(&file_name(Path::new(image))) {
                 Some(paths) => found.push(of_stated_size(paths, json, folders).clone()),
                 None => {
-                    return Err(SceneError::MissingImage {
-                        image: image.clone(),
-                        listed_in: json.clone(),
-                    });
+                    return Err(SceneError::MissingImage(image.clone(), json.clone()));
                 }
             }
         }

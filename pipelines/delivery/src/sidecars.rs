@@ -1,8 +1,8 @@
 //! The text files beside an image, found by their names.
 
-use super::dimap::folder_of;
 use super::entry::ImageEntry;
-use super::files::{Folders, file_name, stem};
+use super::files::Folders;
+use super::names::{file_name, folder_of, stem};
 use super::{SceneError, dimap, tiles};
 use heliosplat_raster::is_virtual;
 use std::path::{Path, PathBuf};
@@ -57,10 +57,10 @@ pub(super) fn belonging_texts(image: &Path, folders: &Folders) -> Result<Vec<Pat
     let named = |want: &String| by_name.get(want).cloned();
     let mut found: Vec<PathBuf> = wanted.iter().filter_map(named).collect();
     // A DIMAP lists its images, whatever their names.
-    if let Some(dimap) = dimap::of_image(image, folders)? {
-        let rest = file_name(&dimap).to_lowercase();
+    if let Some(dimap) = folders.dimaps(folder_of(image))?.of_image(image) {
+        let rest = file_name(dimap).to_lowercase();
         let camera = rest.strip_prefix(dimap::PREFIX).map(|rest| format!("rpc_{rest}"));
-        for path in camera.as_ref().and_then(named).into_iter().chain([dimap]) {
+        for path in camera.as_ref().and_then(named).into_iter().chain([dimap.clone()]) {
             if !found.contains(&path) {
                 found.push(path);
             }

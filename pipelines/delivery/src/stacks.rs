@@ -2,7 +2,8 @@
 //! `…_red_…`, `…_grn_…`, `…_blu_…` and `…_nir_…` of GeoEye.
 
 use super::SceneError;
-use super::files::{Folders, stem};
+use super::files::Folders;
+use super::names::stem;
 use super::tiles::{self, ImageFiles};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

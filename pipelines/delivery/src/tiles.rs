@@ -1,7 +1,8 @@
 //! Images delivered in tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
 
-use super::files::{Folders, has_extension, stem};
-use super::{SceneError, dimap};
+use super::SceneError;
+use super::files::Folders;
+use super::names::{folder_of, has_extension, stem};
 use heliosplat_raster::{RasterFile, Tile};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -96,10 +97,7 @@ impl ImageFiles {
     }
 
     fn side_by_side(&self) -> Result<Vec<Tile>, SceneError> {
-        let fault = |path: &Path, reason: String| SceneError::Unreadable {
-            path: path.to_owned(),
-            reason,
-        };
+        let fault = |path: &Path, reason: String| SceneError::Unreadable(path.to_owned(), reason);
         // Width of each column of tiles, and height of each row.
         let (mut widths, mut heights) = (BTreeMap::new(), BTreeMap::new());
         for ([row, col], path) in &self.tiles {
@@ -170,7 +168,13 @@ pub(super) fn product_name(name: &str) -> Option<String> {
 pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>, SceneError> {
     let mut images = Vec::new();
     let mut taken: BTreeSet<PathBuf> = BTreeSet::new();
-    for listed in dimap::tiled(&files, folders)? {
+    let wanted: BTreeSet<&PathBuf> = files.iter().collect();
+    let parents: BTreeSet<&Path> = files.iter().map(|path| folder_of(path)).collect();
+    let mut listed = Vec::new();
+    for folder in parents {
+        listed.extend(folders.dimaps(folder)?.tiled(folder, &wanted)?);
+    }
+    for listed in listed {
         let Some(first) = listed.tiles.values().next() else {
             continue;
         };

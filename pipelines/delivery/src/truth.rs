@@ -1,6 +1,7 @@
 //! Truth of a scene: our own `truth/` folder, or the rasters of Sat-NeRF, EOGS and DFC2019.
 
-use super::files::{Folders, file_name, has_extension, is_truth, neighbours, own_output, stem};
+use super::files::{Folders, neighbours, own_output};
+use super::names::{file_name, has_extension, is_truth, stem};
 use super::{Truth, relit_truth};
 use heliosplat_raster::RasterFile;
 use std::path::{Path, PathBuf};

@@ -6,7 +6,7 @@
 //! passes.
 
 use super::draft::Draft;
-use super::files::stem;
+use super::names::stem;
 use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
 use heliosplat_rpc::read::acquisition;
 use heliosplat_rpc::sun::sun_position;

@@ -72,14 +72,9 @@ pub enum EvaluateError {
     /// Rasters that cannot be compared, with the remedy.
     #[error("{0}")]
     Refused(String),
-    /// No cell known in both rasters.
-    #[error("{}: has no known altitude where {} has one; they may be of different places or coordinate systems", prediction.display(), truth.display())]
-    Apart {
-        /// File of the surface model.
-        prediction: PathBuf,
-        /// File of the truth.
-        truth: PathBuf,
-    },
+    /// No cell known in both rasters. Fields: file of the surface model, file of the truth.
+    #[error("{}: has no known altitude where {} has one; they may be of different places or coordinate systems", .0.display(), .1.display())]
+    Apart(PathBuf, PathBuf),
     /// A raster that cannot be read or placed.
     #[error(transparent)]
     Raster(#[from] RasterError),
@@ -164,10 +159,7 @@ pub fn evaluate_raster(
     let placement = resample::Placement::new(prediction, &truth)?;
     let moved = |columns: f64, rows: f64| placement.moved(columns, rows);
     let Some((errors, shift)) = register(&moved, &truth.raster, classes.as_ref(), protocol) else {
-        return Err(EvaluateError::Apart {
-            prediction: prediction_path.to_owned(),
-            truth: truth_path.to_owned(),
-        });
+        return Err(EvaluateError::Apart(prediction_path.to_owned(), truth_path.to_owned()));
     };
     let wanted = wanted_cells(&truth.raster, classes.as_ref(), protocol);
     let mut metrics = DsmMetrics::new(

@@ -7,7 +7,7 @@
 use crate::curve::CurvePoint;
 use heliosplat::train::{StateError, Trainer, TrainerState};
 use heliosplat_raster::write::write_atomically_with;
-use heliosplat_raster::{RasterError, bounded};
+use heliosplat_raster::{RasterError, bounded, sha256};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
@@ -30,22 +30,12 @@ const PLACE: [&str; 2] = ["checkpoint", "training.bin"];
 /// Reason why a checkpoint cannot be used or written.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The file is no checkpoint, or is damaged.
-    #[error("{}: {reason}; give --overwrite to begin anew", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The fault.
-        reason: String,
-    },
-    /// The checkpoint is of another training.
-    #[error("{}: it is of another training ({difference}); give the same settings, or --overwrite to begin anew", path.display())]
-    Other {
-        /// The file.
-        path: PathBuf,
-        /// First line in which the identities differ, in words.
-        difference: String,
-    },
+    /// The file is no checkpoint, or is damaged. Fields: the file, the fault.
+    #[error("{}: {}; give --overwrite to begin anew", .0.display(), .1)]
+    Damaged(PathBuf, String),
+    /// The checkpoint is of another training. Fields: the file, first line in which the identities differ, in words.
+    #[error("{}: it is of another training ({}); give the same settings, or --overwrite to begin anew", .0.display(), .1)]
+    Other(PathBuf, String),
     /// The checkpoint cannot be written.
     #[error(transparent)]
     Write(#[from] RasterError),
@@ -101,7 +91,7 @@ pub fn remove(run: &Path) {
 
 /// Short name of an identity: its SHA-256, hexadecimal.
 pub fn digest(identity: &str) -> String {
-    hex::encode(Sha256::digest(identity.as_bytes()))
+    sha256::of_bytes(identity.as_bytes())
 }
 
 /// Reads the checkpoint of a run; `None` where there is none. `identity` describes the training that may continue from
@@ -118,15 +108,12 @@ pub fn read<P: Clone + DeserializeOwned + 'static>(
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => {
-            return Err(CheckpointError::Damaged {
-                path,
-                reason: error.to_string(),
-            });
+            return Err(CheckpointError::Damaged(path, error.to_string()));
         }
     };
     decode(&bytes, identity).map(Some).map_err(|fault| match fault {
-        Fault::Damaged(reason) => CheckpointError::Damaged { path, reason },
-        Fault::Other(difference) => CheckpointError::Other { path, difference },
+        Fault::Damaged(reason) => CheckpointError::Damaged(path, reason),
+        Fault::Other(difference) => CheckpointError::Other(path, difference),
     })
 }
 
@@ -208,10 +195,7 @@ impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
 
     /// Error of a checkpoint whose state does not fit the trainer although its identity fits.
     pub fn does_not_fit(&self, error: &StateError) -> CheckpointError {
-        CheckpointError::Damaged {
-            path: path_in(self.run),
-            reason: error.to_string(),
-        }
+        CheckpointError::Damaged(path_in(self.run), error.to_string())
     }
 
     /// Writes a checkpoint if one is due. A failure is logged, and the training continues.

@@ -1,8 +1,7 @@
 //! Build of the running program: part of the identity of runs, checkpoints and units of a batch.
 
 use heliosplat::train::STATE_VERSION;
-use sha2::{Digest, Sha256};
-use std::fs::File;
+use heliosplat_raster::sha256;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -15,11 +14,7 @@ static BUILD: OnceLock<String> = OnceLock::new();
 /// cannot be read.
 pub fn build() -> &'static str {
     BUILD.get_or_init(|| {
-        let sum = File::open(executable()).and_then(|mut file| {
-            let mut hasher = Sha256::new();
-            std::io::copy(&mut file, &mut hasher)?;
-            Ok(hex::encode(hasher.finalize()))
-        });
+        let sum = sha256::of_file(&executable());
         sum.map_or_else(|_| "unknown".to_owned(), |sum| sum.chars().take(DIGITS).collect())
     })
 }

@@ -6,11 +6,10 @@ use crate::lock::Lock;
 use crate::request::{Earlier, TrainRequest};
 use crate::training::Ending;
 use heliosplat_raster::write::{remove, write_atomically};
-use heliosplat_raster::{RasterError, bounded};
+use heliosplat_raster::{RasterError, bounded, sha256};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
-use sha2::{Digest, Sha256};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -74,22 +73,12 @@ pub enum RunError {
     /// The folder holds no finished run.
     #[error("{0}: not a finished run (it has no model.json); train one with `heliosplat train SCENE --out {0}`")]
     NotARun(PathBuf),
-    /// An invalid file of the run.
-    #[error("{path}: {reason}; train the run again")]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The fault.
-        reason: String,
-    },
-    /// A file that cannot be read.
-    #[error("{path}: {reason}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// Error of the operating system.
-        reason: std::io::Error,
-    },
+    /// An invalid file of the run. Fields: the file, the fault.
+    #[error("{0}: {1}; train the run again")]
+    Damaged(PathBuf, String),
+    /// A file that cannot be read. Fields: the file, error of the operating system.
+    #[error("{0}: {1}")]
+    Io(PathBuf, std::io::Error),
     /// A file that cannot be written.
     #[error(transparent)]
     Write(#[from] RasterError),
@@ -102,24 +91,19 @@ pub enum RunError {
     /// A folder in which another process trains.
     #[error("{}: another training writes into this folder; wait for it, or give another --out", .0.display())]
     Busy(PathBuf),
-    /// A folder that cannot be made.
-    #[error("{}: the folder cannot be made ({reason}); choose another --out", path.display())]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// Error of the operating system.
-        reason: std::io::Error,
-    },
+    /// A folder that cannot be made. Fields: the folder, error of the operating system.
+    #[error("{}: the folder cannot be made ({}); choose another --out", .0.display(), .1)]
+    Folder(PathBuf, std::io::Error),
 }
 
 impl RunError {
     /// True if the user's input is at fault, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
-            Self::NotARun(_) | Self::Damaged { .. } | Self::Exists(_) | Self::Busy(_) => true,
+            Self::NotARun(_) | Self::Damaged(..) | Self::Exists(_) | Self::Busy(_) => true,
             Self::Write(error) => error.is_input_fault(),
             Self::Checkpoint(error) => error.is_input_fault(),
-            Self::Io { .. } | Self::Folder { .. } => false,
+            Self::Io(..) | Self::Folder(..) => false,
         }
     }
 }
@@ -142,29 +126,38 @@ pub fn read(path: &Path) -> Result<String, RunError> {
     bounded::read_text(path).map_err(|reason| unreadable(path, reason))
 }
 
+/// Reads and parses a file of the run in `folder`; a fault that `parse` states is that of a damaged file.
+///
+/// # Errors
+/// [`RunError::NotARun`] when the file is absent, and those of [`read`].
+pub fn parsed<T>(folder: &Path, name: &str, parse: impl FnOnce(&str) -> Result<T, String>) -> Result<T, RunError> {
+    let path = folder.join(name);
+    if !path.is_file() {
+        return Err(RunError::NotARun(folder.to_owned()));
+    }
+    parse(&read(&path)?).map_err(|reason| RunError::Damaged(path, reason))
+}
+
 fn unreadable(path: &Path, reason: std::io::Error) -> RunError {
     let path = path.to_owned();
     match reason.kind() {
-        ErrorKind::InvalidData => RunError::Damaged {
-            path,
-            reason: reason.to_string(),
-        },
-        _ => RunError::Io { path, reason },
+        ErrorKind::InvalidData => RunError::Damaged(path, reason.to_string()),
+        _ => RunError::Io(path, reason),
     }
 }
 
-/// Reads the path and the bytes of the `model.ply` of a run. `sha256` is the sum that `model.json` states; models of
+/// Reads the path and the bytes of the `model.ply` of a run. `stated` is the SHA-256 in `model.json`; models of
 /// earlier versions state none.
 ///
 /// # Errors
 /// [`RunError::Io`] when the file cannot be read; [`RunError::Damaged`] when it is too large, no regular file, or has
 /// another SHA-256.
-pub fn read_gaussians(folder: &Path, sha256: Option<&str>) -> Result<(PathBuf, Vec<u8>), RunError> {
+pub fn read_gaussians(folder: &Path, stated: Option<&str>) -> Result<(PathBuf, Vec<u8>), RunError> {
     let path = folder.join(GAUSSIANS);
     let bytes = bounded::read_bytes(&path, bounded::MODEL_MAX).map_err(|reason| unreadable(&path, reason))?;
-    if sha256.is_some_and(|sum| sum != hash_of_bytes(&bytes)) {
+    if stated.is_some_and(|sum| sum != sha256::of_bytes(&bytes)) {
         let reason = format!("its SHA-256 is not the one in {MODEL}: it is damaged, or of another run");
-        return Err(RunError::Damaged { path, reason });
+        return Err(RunError::Damaged(path, reason));
     }
     Ok((path, bytes))
 }
@@ -182,10 +175,8 @@ pub fn save_model(
     describe: impl FnOnce(String) -> serde_json::Result<String>,
 ) -> Result<(), RunError> {
     let path = folder.join(MODEL);
-    let text = describe(hash_of_bytes(gaussians)).map_err(|error| RunError::Damaged {
-        path: path.clone(),
-        reason: error.to_string(),
-    })?;
+    let text =
+        describe(sha256::of_bytes(gaussians)).map_err(|error| RunError::Damaged(path.clone(), error.to_string()))?;
     if !texts.is_empty() {
         remove_earlier(folder)?;
     }
@@ -217,23 +208,12 @@ fn remove_earlier(folder: &Path) -> Result<(), RunError> {
     Ok(())
 }
 
-fn hash_of_bytes(bytes: &[u8]) -> String {
-    hex::encode(Sha256::digest(bytes))
-}
-
 /// SHA-256 of a file, hexadecimal.
 ///
 /// # Errors
 /// When the file cannot be read.
 pub fn hash(path: &Path) -> Result<String, RunError> {
-    let io = |reason| RunError::Io {
-        path: path.to_owned(),
-        reason,
-    };
-    let mut file = std::fs::File::open(path).map_err(io)?;
-    let mut hasher = Sha256::new();
-    std::io::copy(&mut file, &mut hasher).map_err(io)?;
-    Ok(hex::encode(hasher.finalize()))
+    sha256::of_file(path).map_err(|reason| RunError::Io(path.to_owned(), reason))
 }
 
 /// Writes `metrics.json` into the folder of a run.
@@ -270,10 +250,7 @@ fn status_bytes(field: &str) -> u64 {
 /// # Errors
 /// [`RunError::Folder`] when a folder cannot be made.
 pub fn create_folder(path: &Path) -> Result<(), RunError> {
-    std::fs::create_dir_all(path).map_err(|reason| RunError::Folder {
-        path: path.to_owned(),
-        reason,
-    })
+    std::fs::create_dir_all(path).map_err(|reason| RunError::Folder(path.to_owned(), reason))
 }
 
 /// Request of a training with its identity.
@@ -423,10 +400,9 @@ pub fn inputs(run: &Path) -> Result<Vec<Input>, RunError> {
     }
     let path = run.join(RUN);
     let parsed = toml::from_str::<Inputs>(&read(&path)?);
-    parsed.map(|run| run.inputs).map_err(|error| RunError::Damaged {
-        path,
-        reason: error.message().to_owned(),
-    })
+    parsed
+        .map(|run| run.inputs)
+        .map_err(|error| RunError::Damaged(path, error.message().to_owned()))
 }
 
 #[cfg(test)]

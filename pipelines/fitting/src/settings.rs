@@ -4,13 +4,9 @@
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// A preset file that does not parse (a fault of the program, not of the user).
-    #[error("preset {name}: {reason}")]
-    Preset {
-        /// The preset.
-        name: String,
-        /// Error of the parser.
-        reason: String,
-    },
+    /// Fields: the preset, error of the parser.
+    #[error("preset {0}: {1}")]
+    Preset(String, String),
     /// A value that is not allowed.
     #[error("{key} is {value}, expected {expected}")]
     Value {
@@ -107,10 +103,7 @@ pub fn resolve<T: serde::de::DeserializeOwned>(
     text: &str,
     set: &[(String, String)],
 ) -> Result<T, ConfigError> {
-    let fault = |reason: String| ConfigError::Preset {
-        name: preset.into(),
-        reason,
-    };
+    let fault = |reason: String| ConfigError::Preset(preset.into(), reason);
     let mut table: toml::Table = text.parse().map_err(|e: toml::de::Error| fault(e.to_string()))?;
     let parse = |table: &toml::Table| table.clone().try_into::<T>().map_err(|e| e.to_string());
     parse(&table).map_err(fault)?;

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 const CELLS_PER_JOB: usize = 1024;
 
 /// Indices of `cells` cells, as a parallel iterator.
-fn in_parallel(cells: usize) -> impl IndexedParallelIterator<Item = usize> {
+pub fn in_parallel(cells: usize) -> impl IndexedParallelIterator<Item = usize> {
     (0..cells).into_par_iter().with_min_len(CELLS_PER_JOB)
 }
 
@@ -49,13 +49,9 @@ impl Grid {
         in_parallel(self.len())
     }
 
-    /// Indices of the cells within `radius` columns and rows of a cell, the cell itself included; the window ends at
-    /// the edge of the grid.
+    /// Cells around a cell, as [`around`].
     pub fn around(&self, cell: usize, radius: usize) -> impl Iterator<Item = usize> + use<> {
-        let (col, row, width) = (cell % self.width, cell / self.width, self.width);
-        let columns = col.saturating_sub(radius)..(col + radius + 1).min(width);
-        let rows = row.saturating_sub(radius)..(row + radius + 1).min(self.height);
-        rows.flat_map(move |r| columns.clone().map(move |c| r * width + c))
+        around((self.width, self.height), cell, radius)
     }
 
     /// Centre of the cell at a column and a row, with an altitude as third coordinate, metres; cells outside the grid
@@ -121,6 +117,15 @@ impl Grid {
         let (col, row) = ((x_m - self.west_m) / self.cell_m, (self.north_m - y_m) / self.cell_m);
         col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32
     }
+}
+
+/// Indices of the cells within `radius` columns and rows of a cell, the cell itself included, row by row; the window
+/// ends at the edge of the grid of `(width, height)` cells.
+pub fn around((width, height): (usize, usize), cell: usize, radius: usize) -> impl Iterator<Item = usize> + use<> {
+    let (col, row) = (cell % width, cell / width);
+    let columns = col.saturating_sub(radius)..(col + radius + 1).min(width);
+    let rows = row.saturating_sub(radius)..(row + radius + 1).min(height);
+    rows.flat_map(move |r| columns.clone().map(move |c| r * width + c))
 }
 
 /// Minimum filter: for each cell of a grid of `(width, height)` cells the least of `values` within `columns` columns

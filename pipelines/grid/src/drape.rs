@@ -10,6 +10,7 @@
 //! Limits: objects wider than `WIDEST_M` count as ground; cliffs and the rim of steep ground (from a slope of 0.3 on)
 //! are too low; below buildings on a slope the ground is a smooth span.
 
+use crate::in_parallel;
 use rayon::prelude::*;
 
 /// Width of the widest building, metres; wider objects count as ground.
@@ -78,7 +79,7 @@ impl Level {
     /// Grid of cells twice as wide; `of` reduces the known ones of four values to one, NaN where none is known.
     fn halved(&self, of: impl Fn(&mut [f32]) -> f32 + Sync) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
-        let cells = (0..width * height).into_par_iter().with_min_len(CHUNK);
+        let cells = in_parallel(width * height);
         let surface = cells.map(|cell| {
             let (col, row) = (2 * (cell % width), 2 * (cell / width));
             let mut known = [0.0; 4];
@@ -123,7 +124,7 @@ impl Level {
             let [col, row] = [cell % self.width, cell / self.width].map(|place| (place as f64 - 0.5) / 2.0);
             super::bilinear_to_the_edge(cloth, (coarse.width, coarse.height), col, row)
         };
-        let cells = (0..self.width * self.height).into_par_iter().with_min_len(CHUNK);
+        let cells = in_parallel(self.width * self.height);
         cells.map(at).collect()
     }
 

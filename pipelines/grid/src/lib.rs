@@ -11,7 +11,7 @@ mod sampling;
 pub mod statistics;
 mod total_variation;
 
-pub use cells::{Grid, lowest_within, opening};
+pub use cells::{Grid, around, in_parallel, lowest_within, opening};
 pub use peak::parabola_top;
 pub use plane::PlaneFit;
 pub use sampling::{bilinear, bilinear_to_the_edge};

@@ -17,7 +17,7 @@ use heliosplat::render::{PassOptions, render};
 use heliosplat::splat::{Maps, ProjectionOptions};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_exchange::splat_ply;
-use heliosplat_fitting::run_folder::{self, RunError, read, read_gaussians};
+use heliosplat_fitting::run_folder::{self, MODEL, RunError, parsed, read_gaussians};
 use heliosplat_raster::bounded;
 use heliosplat_scene::Split;
 use std::path::Path;
@@ -265,10 +265,7 @@ impl ObjectModel {
 
 /// Error of a file of a run with invalid content.
 pub(super) fn damaged(path: &Path, reason: impl ToString) -> RunError {
-    RunError::Damaged {
-        path: path.to_owned(),
-        reason: reason.to_string(),
-    }
+    RunError::Damaged(path.to_owned(), reason.to_string())
 }
 
 /// True if a folder contains a run on a capture, finished or not, or a model of one without its run.
@@ -329,11 +326,7 @@ pub(super) fn save(folder: &Path, texts: &[(&str, &str)], model: &ObjectModel) -
 /// # Errors
 /// When a file is missing or damaged.
 pub fn load(folder: &Path) -> Result<ObjectModel, RunError> {
-    let path = folder.join("model.json");
-    if !path.is_file() {
-        return Err(RunError::NotARun(folder.to_owned()));
-    }
-    let file = ObjectFile::parse(&read(&path)?).map_err(|e| damaged(&path, e))?;
+    let file = parsed(folder, MODEL, ObjectFile::parse)?;
     let model = file.kind.model();
     let (ply_path, bytes) = read_gaussians(folder, file.gaussians_sha256.as_deref())?;
     let gaussians = splat_ply::decode(&bytes, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;

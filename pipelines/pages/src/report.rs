@@ -16,6 +16,7 @@ use heliosplat_evaluate::uncertainty::Uncertainty;
 use heliosplat_fitting::run_folder::{RunError, save_metrics};
 use heliosplat_objects::model::is_object_run;
 use heliosplat_products::model::{ModelFile, load_file};
+use heliosplat_products::set::date_of;
 use heliosplat_raster::write_atomically;
 use heliosplat_satellite::run_file::{RunFile, load_run};
 use image::RgbImage;
@@ -44,10 +45,7 @@ impl Folder {
     fn read(path: &Path, metrics: &str) -> Result<Self, RunError> {
         let file = path.join(metrics);
         let metrics = match heliosplat_raster::bounded::read_text(&file) {
-            Ok(text) => serde_json::from_str(&text).map_err(|error| RunError::Damaged {
-                path: file,
-                reason: error.to_string(),
-            })?,
+            Ok(text) => serde_json::from_str(&text).map_err(|error| RunError::Damaged(file, error.to_string()))?,
             Err(_) => Value::Null,
         };
         Ok(Self {
@@ -186,6 +184,37 @@ fn page_of(title: &str, sections: &[Markup]) -> String {
     document(title, &html! { @for section in sections { (section) } })
 }
 
+/// Dates of the images, and the key figures of the surface and its accuracy.
+fn head(run: &Contents, shown: Option<&Exhibit>) -> Markup {
+    let measured = &run.folder;
+    let protocol = measured.metrics.pointer("/dsm/protocol").and_then(Value::as_str);
+    let mae = format!("mean absolute height error, {}", protocol.unwrap_or("raw"));
+    let number = |pointer: &str| measured.number(pointer);
+    let percent = |pointer: &str| number(pointer).map(|share| 100.0 * share);
+    let mut dates: Vec<String> = run.model.images.iter().map(date_of).collect();
+    let images = dates.len();
+    dates.sort_unstable();
+    dates.dedup();
+    let more = [
+        (mae.as_str(), number("/dsm/mae_m"), 3, "m"),
+        ("median height error", number("/dsm/median_m"), 3, "m"),
+        ("of the truth's cells known", percent("/dsm/completeness"), 1, "%"),
+        ("shadow accuracy", percent("/shadow/accuracy"), 1, "%"),
+    ];
+    html! {
+        p.faint {
+            (images) " images"
+            @if let ([first, .., last], true) = (&dates[..], run.model.images.iter().any(|image| image.time.is_some())) {
+                " on " (dates.len()) " dates from " (first) " to " (last)
+            } @else if let [date] = &dates[..] { " of " (date) }
+        }
+        @match shown {
+            Some(shown) => (surface::head(measured, shown, &more)),
+            None => (parts::keys(&more)),
+        }
+    }
+}
+
 /// Report of a run; also writes the calibration plot into its folder.
 fn page(run: &Contents, shown: Option<&Exhibit>) -> Result<String, RunError> {
     let folder = &run.folder;
@@ -195,7 +224,7 @@ fn page(run: &Contents, shown: Option<&Exhibit>) -> Result<String, RunError> {
         write_atomically(&folder.path.join(CALIBRATION), drawn.as_bytes())?;
     }
     let sections = [
-        parts::head(run, shown),
+        head(run, shown),
         html! { @if let Some(shown) = shown { (surface::maps(shown, &html! {})) } },
         parts::lowered(folder),
         surface::files(folder),

@@ -10,6 +10,7 @@ use heliosplat::render::{Rendering, render};
 use heliosplat::splat::Maps;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_grid::statistics::quantile;
+use heliosplat_grid::{around, in_parallel};
 use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::write::{ImageSpec, write_cog};
@@ -191,8 +192,7 @@ const AROUND_REACH: usize = 2;
 /// spread of the altitudes around, and the error that all cells share in images of `gsd_m` metres.
 fn widen_deviations(raster: &mut Raster, gsd_m: f32) {
     let least_m2 = (MATCHING_PX as f32 * gsd_m / LONGEST_BASE_TO_HEIGHT).powi(2);
-    let cells = (0..raster.plane_len()).into_par_iter().with_min_len(CHUNK);
-    let widened: Vec<f32> = cells
+    let widened: Vec<f32> = in_parallel(raster.plane_len())
         .map(|cell| match raster.plane(DEVIATION)[cell].is_nan() {
             true => f32::NAN,
             false => (own_variance(raster, cell) + variance_around(raster, cell) + least_m2).sqrt(),
@@ -211,19 +211,10 @@ fn add_error_of_base(deviation_m: &mut [f32], base_to_height: &[f32], gsd_m: f32
         *deviation = (*deviation * *deviation + more).sqrt();
     }
 }
-
-/// The cells within `reach` of `cell` to each side.
-fn around(raster: &Raster, cell: usize, reach: usize) -> impl Iterator<Item = usize> + use<> {
-    let (width, col, row) = (raster.width, cell % raster.width, cell / raster.width);
-    let cols = col.saturating_sub(reach)..(col + reach + 1).min(width);
-    let rows = row.saturating_sub(reach)..(row + reach + 1).min(raster.height);
-    rows.flat_map(move |row| cols.clone().map(move |col| row * width + col))
-}
-
 /// Mean of the squared deviations of the cells around `cell`, metres².
 fn own_variance(raster: &Raster, cell: usize) -> f32 {
     let deviations = raster.plane(DEVIATION);
-    let known = around(raster, cell, OWN_REACH)
+    let known = around((raster.width, raster.height), cell, OWN_REACH)
         .map(|cell| deviations[cell])
         .filter(|d| d.is_finite());
     let (sum, count) = known.fold((0.0f32, 0.0f32), |(sum, count), d| (sum + d * d, count + 1.0));
@@ -233,7 +224,7 @@ fn own_variance(raster: &Raster, cell: usize) -> f32 {
 /// Variance of the altitudes known around `cell`, metres².
 fn variance_around(raster: &Raster, cell: usize) -> f32 {
     let (mut count, mut sum, mut squares) = (0.0f32, 0.0f32, 0.0f32);
-    for other in around(raster, cell, AROUND_REACH) {
+    for other in around((raster.width, raster.height), cell, AROUND_REACH) {
         // Differences to the middle keep their digits where altitudes are in thousands.
         let above = raster.values[other] - raster.values[cell];
         if above.is_finite() {
@@ -274,8 +265,7 @@ pub fn of_surface_on(nadir: NadirGrid, place: &GroundExtent, surface: &Surface) 
         let cell = surface.cell_at(east as f32, north as f32);
         cell.filter(|&cell| surface.is_known(cell)).map(|cell| (height_m, cell))
     };
-    let cells = (0..width * height).into_par_iter().with_min_len(CHUNK);
-    let found: Vec<Option<(f64, usize)>> = cells.map(found).collect();
+    let found: Vec<Option<(f64, usize)>> = in_parallel(width * height).map(found).collect();
     let mut base_to_height = vec![LONGEST_BASE_TO_HEIGHT; width * height];
     for (i, found) in found.into_iter().enumerate() {
         if let Some((height_m, cell)) = found {

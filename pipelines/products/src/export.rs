@@ -147,15 +147,14 @@ pub fn anchor(frame: &LocalFrame) -> Value {
 }
 
 /// Source of an export.
-#[derive(Clone, Copy)]
-pub enum Subject<'s> {
+pub enum Subject {
     /// A run.
-    Run(&'s LoadedModel),
+    Run(Box<LoadedModel>),
     /// A batch's mosaic.
-    Mosaic(&'s Mosaic),
+    Mosaic(Box<Mosaic>),
 }
 
-impl Subject<'_> {
+impl Subject {
     /// Local frame of all files.
     pub fn frame(&self) -> &LocalFrame {
         match self {
@@ -190,7 +189,7 @@ impl Subject<'_> {
 ///
 /// # Errors
 /// [`ExportError`] where the run, the sun or the surface cannot be used, or a file is too large or cannot be written.
-pub fn write(subject: Subject, request: &Request) -> Result<Export, ExportError> {
+pub fn write(subject: &Subject, request: &Request) -> Result<Export, ExportError> {
     let mut said = json!({
         "anchor": anchor(subject.frame()), "software": concat!("heliosplat ", env!("CARGO_PKG_VERSION")),
     });

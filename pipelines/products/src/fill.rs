@@ -5,6 +5,7 @@
 //! spreads up to the foot of a tower before the tower's roof contributes. Unknown cells that reach the border of the
 //! raster are no hole: the scene ends there.
 
+use heliosplat_grid::around;
 use heliosplat_grid::statistics::upper_quantile;
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
@@ -16,11 +17,7 @@ const QUARTILE: f64 = 0.25;
 /// indices of the filled cells.
 pub(super) fn close_holes(width: usize, altitude_m: &mut [f32]) -> Vec<usize> {
     let height = altitude_m.len() / width.max(1);
-    let around = |cell: usize| {
-        let (col, row) = (cell % width, cell / width);
-        let rows = row.saturating_sub(1)..(row + 2).min(height);
-        rows.flat_map(move |r| (col.saturating_sub(1)..(col + 2).min(width)).map(move |c| r * width + c))
-    };
+    let around = |cell: usize| around((width, height), cell, 1);
     let mut outside = vec![false; altitude_m.len()];
     let mut reached: Vec<usize> = (0..altitude_m.len())
         .filter(|&cell| {

@@ -9,8 +9,8 @@
 use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::Table;
 use heliosplat::model::shadow_gs::ALBEDO;
-use heliosplat_grid::opening;
 use heliosplat_grid::statistics::upper_median;
+use heliosplat_grid::{around, in_parallel, opening};
 use heliosplat_scene::indices::{VEGETATION_INDEX, VegetationIndex};
 use rayon::prelude::*;
 
@@ -65,31 +65,23 @@ impl<'a> LeafIndex<'a> {
                 && inside(row, nadir.height)
                 && cells[row.round() as usize * nadir.width + col.round() as usize]
         };
-        (0..self.gaussians.count)
-            .into_par_iter()
-            .with_min_len(4096)
-            .map(leaf)
-            .collect()
+        in_parallel(self.gaussians.count).map(leaf).collect()
     }
 
     /// Leaf mask of the cells.
     fn cells(&self, (width, height): (usize, usize), seen: &FromAbove) -> Vec<bool> {
         let reach = (seen.gsd_m / seen.cell_m).round() as usize;
-        let near = |at: usize, count: usize| at.saturating_sub(reach)..(at + reach + 1).min(count);
         // NaN, which exceeds no threshold, where nothing is known.
         let mean = |i: usize| {
             let (mut sum, mut count) = (0.0, 0.0);
-            for row in near(i / width, height) {
-                for index in near(i % width, width).map(|col| seen.index[row * width + col]) {
-                    if index.is_finite() {
-                        sum += index;
-                        count += 1.0;
-                    }
-                }
+            let known = around((width, height), i, reach).map(|cell| seen.index[cell]);
+            for index in known.filter(|index| index.is_finite()) {
+                sum += index;
+                count += 1.0;
             }
             sum / count
         };
-        let each = (0..width * height).into_par_iter().with_min_len(1024);
+        let each = in_parallel(width * height);
         match self.index {
             VegetationIndex::Infrared(_) => each.map(|i| mean(i) > VEGETATION_INDEX).collect(),
             VegetationIndex::Green(_) => {

@@ -7,7 +7,7 @@ use heliosplat::model::Parameters;
 use heliosplat::model::shadow_gs::{DAYS, ShadowGs, ShadowGsOptions, standing};
 use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;
-use heliosplat_fitting::run_folder::{RunError, read, read_gaussians, save_model};
+use heliosplat_fitting::run_folder::{MODEL, RunError, parsed, read_gaussians, save_model};
 use heliosplat_radiometry::daylight::Daylight;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
 use heliosplat_scene::crop::Crop;
@@ -155,11 +155,7 @@ impl LoadedModel {
 /// # Errors
 /// When the folder is no run, or the file is damaged.
 pub fn load_file(folder: &Path) -> Result<ModelFile, RunError> {
-    let path = folder.join("model.json");
-    if !path.is_file() {
-        return Err(RunError::NotARun(folder.to_owned()));
-    }
-    ModelFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
+    parsed(folder, MODEL, ModelFile::parse)
 }
 
 impl LoadedModel {
@@ -219,7 +215,7 @@ pub fn load_whole(folder: &Path) -> Result<LoadedModel, RunError> {
     let file = load_file(folder)?;
     let model = ShadowGs::new(file.options.clone());
     let (path, bytes) = read_gaussians(folder, file.gaussians_sha256.as_deref())?;
-    let gaussians = ply::decode(&bytes, &model).map_err(|reason| RunError::Damaged { path, reason })?;
+    let gaussians = ply::decode(&bytes, &model).map_err(|reason| RunError::Damaged(path, reason))?;
     let frame = LocalFrame::new(file.origin);
     let parameters = Parameters {
         gaussians,

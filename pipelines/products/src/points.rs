@@ -30,10 +30,7 @@ const STEP_M: f64 = 0.001;
 /// # Errors
 /// When the coordinate system does not cover the place, a geoid's grid is missing, or the file cannot be written.
 pub fn write(path: &Path, model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<usize, RasterError> {
-    let failed = |error: las::Error| RasterError::Write {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    };
+    let failed = |error: las::Error| RasterError::Write(path.to_owned(), error.to_string());
     let points = points(model, crs, geoid)?;
     let crs = match geoid {
         Some(geoid) => geoid.compound(crs)?,
@@ -89,10 +86,7 @@ pub type Part = (PathBuf, [f64; 4]);
 /// # Errors
 /// When a cloud cannot be read, a geoid's grid is missing, or the file cannot be written.
 pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>) -> Result<usize, RasterError> {
-    let failed = |error: las::Error| RasterError::Write {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    };
+    let failed = |error: las::Error| RasterError::Write(path.to_owned(), error.to_string());
     let crs = match geoid {
         Some(geoid) => geoid.compound(&grid.crs)?,
         None => grid.crs.clone(),
@@ -110,10 +104,7 @@ pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>)
     let mut writer = writer(&crs, [corner[0], corner[1], 0.0]).map_err(failed)?;
     let mut count = 0;
     for (part, [west, south, east, north]) in parts {
-        let damaged = |error: las::Error| RasterError::Damaged {
-            path: part.clone(),
-            reason: error.to_string(),
-        };
+        let damaged = |error: las::Error| RasterError::Damaged(part.clone(), error.to_string());
         let mut reader = Reader::from_path(part).map_err(damaged)?;
         let all = reader.read_all().map_err(damaged)?;
         for point in all.points() {

@@ -16,6 +16,7 @@ use heliosplat_fitting::run_folder::RunError;
 use heliosplat_raster::write::{ImageSpec, SampleType, write_cog, write_geotiff};
 use heliosplat_raster::{GridSpec, RasterError, preview};
 use heliosplat_rpc::sun::SunPosition;
+use heliosplat_scene::crop;
 use std::path::{Path, PathBuf};
 
 /// Reason that a scene cannot be relit.
@@ -203,10 +204,7 @@ pub(crate) fn light_of(model: &LoadedModel, sun: &SunPosition) -> Result<Light, 
             model.folder.display()
         )));
     }
-    let direction = sun.direction_enu();
-    Ok(Light::Directional(
-        glam::DVec3::new(direction.x, direction.y, direction.z).as_vec3(),
-    ))
+    Ok(Light::Directional(crop::toward(sun)))
 }
 
 fn visibility_of(model: &LoadedModel, maps: &Maps) -> Raster {

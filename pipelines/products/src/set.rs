@@ -102,10 +102,10 @@ pub fn write(
         surface = surface.above(geoid)?;
     }
     if surface.completeness() == 0.0 {
-        return Err(RelightError::Raster(RasterError::Transform {
-            crs: nadir.grid.crs.name().to_owned(),
-            reason: "nothing of the run falls on its grid".into(),
-        }));
+        return Err(RelightError::Raster(RasterError::Transform(
+            nadir.grid.crs.name().to_owned(),
+            "nothing of the run falls on its grid".into(),
+        )));
     }
     let above = Viewpoint::above(model, &nadir);
     let sun = request.sun.filter(|_| model.file.has_light());

@@ -6,6 +6,7 @@
 //! a standard deviation of 0.2; it stays where a surface is too dark to decide.
 
 use heliosplat::Raster;
+use heliosplat_grid::in_parallel;
 use heliosplat_grid::statistics::{SIGMA_PER_MAD, upper_median};
 use rayon::prelude::*;
 
@@ -88,9 +89,7 @@ fn near_border(traced: &Raster) -> Vec<bool> {
     // Light and shadow seen within reach, first along rows, then along columns.
     let own: Vec<[bool; 2]> = traced.values.iter().map(|&v| [v >= 0.5, v < 0.5]).collect();
     let spread = |from: &[[bool; 2]], along: usize, length: usize| -> Vec<[bool; 2]> {
-        (0..from.len())
-            .into_par_iter()
-            .with_min_len(4096)
+        in_parallel(from.len())
             .map(|i| {
                 let place = i / along % length;
                 let (first, last) = (place.saturating_sub(REACH_PX), (place + REACH_PX).min(length - 1));

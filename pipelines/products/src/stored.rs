@@ -64,10 +64,7 @@ impl StoredPiece {
             }
             Ok(())
         };
-        read().map_err(|error: std::io::Error| RasterError::Damaged {
-            path: self.file.clone(),
-            reason: error.to_string(),
-        })?;
+        read().map_err(|error: std::io::Error| RasterError::Damaged(self.file.clone(), error.to_string()))?;
         let moved = |span: &[isize; 2]| span.map(|row| row - rows.start);
         Ok(Some(Piece {
             unit: unit.clone(),

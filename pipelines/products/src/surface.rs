@@ -19,8 +19,8 @@ use heliosplat::ProjectiveCamera;
 use heliosplat::gaussians::{OPACITY, Table, logit};
 use heliosplat::render::{depths, depths_and};
 use heliosplat::splat::{Maps, ProjectionOptions};
-use heliosplat_grid::smooth_by_deviation;
 use heliosplat_grid::statistics::upper_median;
+use heliosplat_grid::{in_parallel, smooth_by_deviation};
 use heliosplat_scene::indices::VegetationIndex;
 use rayon::prelude::*;
 
@@ -113,9 +113,7 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
     let count = all.alpha.len();
     // Cliffs have no upward face: there the depths of all Gaussians along one ray serve.
     let or = |depth: Option<f32>, of_all: f32| depth.unwrap_or(of_all);
-    let range: Vec<[f32; 3]> = (0..count)
-        .into_par_iter()
-        .with_min_len(1024)
+    let range: Vec<[f32; 3]> = in_parallel(count)
         .map(|i| {
             [
                 or(median_of(&looks, |look| look.near[i]), all.near_depth[i]),
@@ -139,9 +137,7 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
         })
         .collect();
     smooth_by_deviation(nadir.width, cell_m, &mut up_m, &doubt_m);
-    (0..count)
-        .into_par_iter()
-        .with_min_len(1024)
+    in_parallel(count)
         .map(|i| {
             let coverage = all.alpha[i];
             let mean = all.depth[i] / coverage;

@@ -2,7 +2,6 @@
 
 use super::shadow_mask::Evidence;
 use crate::model::{LoadedModel, ModelImage};
-use glam::Vec3;
 use heliosplat::light::Light;
 use heliosplat::model::Context;
 use heliosplat::render::{Rendering, render};
@@ -59,10 +58,8 @@ impl Colouring {
 /// truth, those of the reference image.
 pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raster>) -> RenderedView {
     let camera = camera_of(image);
-    let light = image.sun.filter(|_| model.file.has_light()).map(|sun| {
-        let direction = sun.direction_enu();
-        Light::Directional(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32))
-    });
+    let sun = image.sun.filter(|_| model.file.has_light());
+    let light = sun.map(|sun| Light::Directional(crop::toward(&sun)));
     let appearance = image.appearance.or(image.same_day);
     let Rendering {
         image: mut colours,

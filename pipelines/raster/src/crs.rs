@@ -43,10 +43,7 @@ impl Crs {
             || reason.contains("SQLite")
         {
             true => RasterError::ProjDatabase(reason),
-            false => RasterError::UnknownCrs {
-                definition: shortened(definition),
-                reason,
-            },
+            false => RasterError::UnknownCrs(shortened(definition), reason),
         };
         let Some(parse) = parser(definition) else {
             return Err(unknown("it is no EPSG:N, no WKT and no PROJ string".to_owned()));
@@ -83,10 +80,10 @@ impl Crs {
     pub fn horizontal(definition: &str) -> Result<Self, RasterError> {
         let crs = Self::from_definition(definition)?;
         match crs.vertical {
-            true => Err(RasterError::UnknownCrs {
-                definition: crs.name,
-                reason: "heights are above the ellipsoid here".to_owned(),
-            }),
+            true => Err(RasterError::UnknownCrs(
+                crs.name,
+                "heights are above the ellipsoid here".to_owned(),
+            )),
             false => Ok(crs),
         }
     }
@@ -278,10 +275,7 @@ impl CrsTransform {
                     let [source, target] = [source, target].map(reference);
                     CoordTransform::new(&source?, &target?)
                 });
-                let made = Rc::new(made.map_err(|reason| RasterError::UnknownCrs {
-                    definition: name.to_owned(),
-                    reason,
-                })?);
+                let made = Rc::new(made.map_err(|reason| RasterError::UnknownCrs(name.to_owned(), reason))?);
                 MADE.with_borrow_mut(|all| all.insert(key, Rc::clone(&made)));
                 made
             }
@@ -297,10 +291,7 @@ impl CrsTransform {
     /// # Errors
     /// [`RasterError::Transform`] for a point outside of the target system.
     pub fn apply(&self, x: f64, y: f64) -> Result<(f64, f64), RasterError> {
-        let failed = |reason: String| RasterError::Transform {
-            crs: self.target.clone(),
-            reason,
-        };
+        let failed = |reason: String| RasterError::Transform(self.target.clone(), reason);
         let (mut x, mut y) = ([x], [y]);
         messages::collect(|| self.transform.transform_coords(&mut x, &mut y, &mut [])).map_err(failed)?;
         if x[0].is_finite() && y[0].is_finite() {
@@ -370,10 +361,10 @@ mod tests {
     fn a_place_outside_of_a_system_is_an_error() {
         let crs = Crs::from_epsg(32631).expect("a UTM zone");
         let to = CrsTransform::to_lon_lat(&crs).expect("a transformation");
-        assert!(matches!(to.apply(1e30, 1e30), Err(RasterError::Transform { .. })));
+        assert!(matches!(to.apply(1e30, 1e30), Err(RasterError::Transform(..))));
         let mercator = Crs::from_epsg(3395).expect("World Mercator");
         let to = CrsTransform::from_lon_lat(&mercator).expect("a transformation");
-        assert!(matches!(to.apply(0.0, f64::NAN), Err(RasterError::Transform { .. })));
+        assert!(matches!(to.apply(0.0, f64::NAN), Err(RasterError::Transform(..))));
     }
 
     #[test]

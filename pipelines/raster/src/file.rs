@@ -1,8 +1,5 @@
 //! Reading of a raster file: its description, and its pixels as `f32` with `NaN` where they are missing.
 
-use super::pansharpen::Pansharpening;
-use super::stacked::Stack;
-use super::tiled::Mosaic;
 use super::{BandInfo, Colour, Crs, GeoTransform, RasterError, Window, bounded, drivers, masks, messages, siblings};
 use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
@@ -48,15 +45,23 @@ pub struct RasterFile {
 }
 
 /// Source of the pixels of an image.
-pub(super) enum Pixels {
+enum Pixels {
     /// One file.
     File(Dataset),
-    /// The tiles of one image.
-    Tiles(Box<Mosaic>),
-    /// The bands of one image in several files.
-    Stacked(Stack),
-    /// A panchromatic image and its colours.
-    Pansharpened(Box<Pansharpening>),
+    /// Several files.
+    Several(Box<dyn Composite>),
+}
+
+/// Several files that are one image.
+pub(super) trait Composite: Send {
+    /// The file whose metadata are those of the image.
+    fn first(&self) -> &RasterFile;
+
+    /// The values of the given bands of a window, one band after the other; `NaN` where nothing is known.
+    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError>;
+
+    /// Sets the band of opacity of its files, where they have one.
+    fn set_opacity(&mut self, band: Option<usize>);
 }
 
 /// True if a path is on one of GDAL's virtual file systems, such as `/vsizip/` and `/vsis3/`.
@@ -89,15 +94,12 @@ impl RasterFile {
     /// # Errors
     /// [`RasterError::Missing`], [`RasterError::Unreadable`], [`RasterError::NotAnImage`] or [`RasterError::Damaged`].
     pub fn open(path: &Path) -> Result<Self, RasterError> {
-        let not_an_image = |reason| RasterError::NotAnImage {
-            path: path.to_owned(),
-            reason,
-        };
+        let not_an_image = |reason| RasterError::NotAnImage(path.to_owned(), reason);
         if path.to_str().is_none() {
-            return Err(RasterError::Unreadable {
-                path: path.to_owned(),
-                reason: "its name is not UTF-8; rename the file".to_owned(),
-            });
+            return Err(RasterError::Unreadable(
+                path.to_owned(),
+                "its name is not UTF-8; rename the file".to_owned(),
+            ));
         }
         let siblings = if is_virtual(path) { None } else { siblings::check(path)? };
         let siblings = siblings
@@ -153,12 +155,12 @@ impl RasterFile {
         others: Vec<PathBuf>,
         size: (usize, usize),
         bands: Vec<BandInfo>,
-        pixels: Pixels,
+        composite: impl Composite + 'static,
     ) -> Self {
         Self {
             path,
             size,
-            pixels,
+            pixels: Pixels::Several(Box::new(composite)),
             others,
             opacity: opacity_of(&bands),
             bands,
@@ -169,10 +171,8 @@ impl RasterFile {
     /// opacity wrongly.
     pub fn set_opacity(&mut self, band: Option<usize>) {
         self.opacity = band;
-        match &mut self.pixels {
-            Pixels::File(_) | Pixels::Stacked(_) => {}
-            Pixels::Tiles(mosaic) => mosaic.files_mut().for_each(|file| file.set_opacity(band)),
-            Pixels::Pansharpened(pair) => pair.multispectral.set_opacity(band),
+        if let Pixels::Several(composite) = &mut self.pixels {
+            composite.set_opacity(band);
         }
     }
 
@@ -190,9 +190,7 @@ impl RasterFile {
     pub(super) fn dataset(&self) -> &Dataset {
         match &self.pixels {
             Pixels::File(dataset) => dataset,
-            Pixels::Tiles(mosaic) => mosaic.first().dataset(),
-            Pixels::Stacked(stack) => stack.first().dataset(),
-            Pixels::Pansharpened(pair) => pair.panchromatic.dataset(),
+            Pixels::Several(composite) => composite.first().dataset(),
         }
     }
 
@@ -400,9 +398,7 @@ impl RasterFile {
                 }
                 Ok(values)
             }
-            Pixels::Tiles(mosaic) => mosaic.read(window, bands),
-            Pixels::Stacked(stack) => stack.read(window, bands),
-            Pixels::Pansharpened(pair) => pair.read(window, bands),
+            Pixels::Several(composite) => composite.read(window, bands),
         }
     }
 
@@ -453,10 +449,7 @@ fn average_rows(out: &mut [f32], rows: &[f32], factor: usize) {
 }
 
 fn damaged(path: &Path, reason: String) -> RasterError {
-    RasterError::Damaged {
-        path: path.to_owned(),
-        reason,
-    }
+    RasterError::Damaged(path.to_owned(), reason)
 }
 
 fn band_infos(dataset: &Dataset) -> gdal::errors::Result<Vec<BandInfo>> {

@@ -60,13 +60,12 @@ impl Geoid {
         });
         match parts.zip(geoid) {
             Some(((horizontal, _), geoid)) => Ok((Crs::from_definition(horizontal)?, Some(geoid))),
-            None => Err(RasterError::UnknownCrs {
-                definition: whole.name().to_owned(),
-                reason:
-                    "heights are written above the ellipsoid, or in metres above EGM96 as EPSG:N+5773 or EGM2008 as \
+            None => Err(RasterError::UnknownCrs(
+                whole.name().to_owned(),
+                "heights are written above the ellipsoid, or in metres above EGM96 as EPSG:N+5773 or EGM2008 as \
                          EPSG:N+3855"
-                        .to_owned(),
-            }),
+                    .to_owned(),
+            )),
         }
     }
 
@@ -75,10 +74,7 @@ impl Geoid {
     /// # Errors
     /// [`RasterError::UnknownCrs`] when `crs` has heights of its own or no EPSG code.
     pub fn compound(self, crs: &Crs) -> Result<Crs, RasterError> {
-        let refused = |reason: &str| RasterError::UnknownCrs {
-            definition: crs.name().to_owned(),
-            reason: reason.to_owned(),
-        };
+        let refused = |reason: &str| RasterError::UnknownCrs(crs.name().to_owned(), reason.to_owned());
         if crs.has_vertical_datum() {
             return Err(refused("it has a vertical datum of its own beside --geoid"));
         }
@@ -124,10 +120,7 @@ impl Undulation {
     pub fn at(&self, lon_deg: f64, lat_deg: f64) -> Result<f64, RasterError> {
         let (mut x, mut y, mut z) = ([lon_deg], [lat_deg], [0.0]);
         let done = messages::collect_strictly(|| self.transform.transform_coords(&mut x, &mut y, &mut z));
-        let failed = |reason: String| RasterError::Transform {
-            crs: format!("heights above {}", self.geoid.name()),
-            reason,
-        };
+        let failed = |reason: String| RasterError::Transform(format!("heights above {}", self.geoid.name()), reason);
         done.map_err(failed)?;
         if z[0].is_finite() {
             Ok(z[0])

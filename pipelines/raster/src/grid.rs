@@ -166,10 +166,10 @@ impl GridSpec {
         );
         const MOST_PIXELS: f64 = 2e9;
         if !(width * height).is_finite() || width * height > MOST_PIXELS {
-            return Err(RasterError::Transform {
-                crs: crs.name().to_owned(),
-                reason: format!("a grid of {width} x {height} pixels of {gsd_m} m is too large"),
-            });
+            return Err(RasterError::Transform(
+                crs.name().to_owned(),
+                format!("a grid of {width} x {height} pixels of {gsd_m} m is too large"),
+            ));
         }
         Ok(Self {
             width: width as usize,

@@ -27,10 +27,7 @@ impl RasterFile {
         if unit.is_empty() {
             return Ok(self.crs().and_then(|crs| crs.metres_per_height()).unwrap_or(1.0));
         }
-        metres_per_unit(unit).ok_or_else(|| RasterError::HeightUnit {
-            path: self.path().to_owned(),
-            unit: unit.to_owned(),
-        })
+        metres_per_unit(unit).ok_or_else(|| RasterError::HeightUnit(self.path().to_owned(), unit.to_owned()))
     }
 
     /// Applies scale and offset of a band, and metres per unit, to its values.

@@ -17,6 +17,7 @@ mod masks;
 pub mod messages;
 pub mod pansharpen;
 pub mod preview;
+pub mod sha256;
 mod siblings;
 mod stacked;
 pub mod streamed;
@@ -47,62 +48,33 @@ pub enum RasterError {
     /// No such file.
     #[error("{}: no such file", .0.display())]
     Missing(PathBuf),
-    /// A file, or one beside it that GDAL would read with it, that cannot be read.
-    #[error("{}: cannot be read ({reason})", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// Reason.
-        reason: String,
-    },
-    /// A file that GDAL does not recognise as an image.
-    #[error("{}: not an image GDAL can read ({reason}); give a GeoTIFF, JPEG 2000, NITF or another raster format", path.display())]
-    NotAnImage {
-        /// The file.
-        path: PathBuf,
-        /// Message of GDAL.
-        reason: String,
-    },
-    /// A recognised image whose pixels cannot be read.
-    #[error("{}: its pixels cannot be read ({reason}); the file is truncated or damaged, fetch it again", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// Message of GDAL.
-        reason: String,
-    },
-    /// Heights in a unit that is no known length.
-    #[error("{}: its heights are in '{unit}', which is no known length; convert it to metres, or set the unit of its band", path.display())]
-    HeightUnit {
-        /// The file.
-        path: PathBuf,
-        /// The unit.
-        unit: String,
-    },
+    /// A file, or one beside it that GDAL would read with it, that cannot be read. Fields: the file, reason.
+    #[error("{}: cannot be read ({})", .0.display(), .1)]
+    Unreadable(PathBuf, String),
+    /// A file that GDAL does not recognise as an image. Fields: the file, message of GDAL.
+    #[error("{}: not an image GDAL can read ({}); give a GeoTIFF, JPEG 2000, NITF or another raster format", .0.display(), .1)]
+    NotAnImage(PathBuf, String),
+    /// A recognised image whose pixels cannot be read. Fields: the file, message of GDAL.
+    #[error("{}: its pixels cannot be read ({}); the file is truncated or damaged, fetch it again", .0.display(), .1)]
+    Damaged(PathBuf, String),
+    /// Heights in a unit that is no known length. Fields: the file, the unit.
+    #[error("{}: its heights are in '{}', which is no known length; convert it to metres, or set the unit of its band", .0.display(), .1)]
+    HeightUnit(PathBuf, String),
     /// A raster without the georeferencing that it needs.
     #[error("{}: it has no georeferencing; it needs a geotransform and a coordinate system", .0.display())]
     NotGeoreferenced(PathBuf),
     /// A coordinate reference system that PROJ does not recognise, or that is not supported here.
-    #[error("coordinate reference system '{definition}' is not usable ({reason}); give a projected one as EPSG:N")]
-    UnknownCrs {
-        /// Definition or name of the system.
-        definition: String,
-        /// Message of PROJ.
-        reason: String,
-    },
+    /// Fields: definition or name of the system, message of PROJ.
+    #[error("coordinate reference system '{0}' is not usable ({1}); give a projected one as EPSG:N")]
+    UnknownCrs(String, String),
     /// PROJ's database of coordinate systems is missing or unusable.
     #[error(
         "PROJ's database cannot be used ({0}); install proj-data, and unset PROJ_LIB and PROJ_DATA where another program set them"
     )]
     ProjDatabase(String),
-    /// A coordinate that cannot be transformed.
-    #[error("a coordinate cannot be transformed to {crs} ({reason}); choose a coordinate system that covers the scene")]
-    Transform {
-        /// Name of the target system.
-        crs: String,
-        /// Message of PROJ.
-        reason: String,
-    },
+    /// A coordinate that cannot be transformed. Fields: name of the target system, message of PROJ.
+    #[error("a coordinate cannot be transformed to {0} ({1}); choose a coordinate system that covers the scene")]
+    Transform(String, String),
     /// A geoid without an installed grid.
     #[error(
         "geoid {name}: PROJ finds none of its grids ({grids}); install one into PROJ's data folder, as with `projsync --file {first}`, or leave --geoid out for heights above the ellipsoid"
@@ -116,27 +88,18 @@ pub enum RasterError {
         first: &'static str,
     },
     /// A folder that contains other files than this output.
-    #[error("{}: there is something else here already ({name} is absent or not ours); choose another folder", path.display())]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
-        /// Name of the file that is absent or not ours.
-        name: String,
-    },
+    /// Fields: the folder, name of the file that is absent or not ours.
+    #[error("{}: there is something else here already ({} is absent or not ours); choose another folder", .0.display(), .1)]
+    Occupied(PathBuf, String),
     /// The disk is full.
     #[error("{}: the disk is full, nothing was written; free some space or choose another folder", .0.display())]
     DiskFull(PathBuf),
     /// Writing was refused.
     #[error("{}: no permission to write here; choose another folder", .0.display())]
     Permission(PathBuf),
-    /// Any other failure to write.
-    #[error("{}: cannot be written ({reason})", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Reason.
-        reason: String,
-    },
+    /// Any other failure to write. Fields: the file, reason.
+    #[error("{}: cannot be written ({})", .0.display(), .1)]
+    Write(PathBuf, String),
     /// A failure inside GDAL that is no fault of a file.
     #[error("GDAL: {0}")]
     Gdal(String),
@@ -147,7 +110,7 @@ impl RasterError {
     pub fn is_input_fault(&self) -> bool {
         !matches!(
             self,
-            Self::DiskFull(_) | Self::Permission(_) | Self::Write { .. } | Self::Gdal(_)
+            Self::DiskFull(_) | Self::Permission(_) | Self::Write(..) | Self::Gdal(_)
         )
     }
 
@@ -157,10 +120,7 @@ impl RasterError {
         match error.kind() {
             ErrorKind::StorageFull | ErrorKind::QuotaExceeded => Self::DiskFull(path.to_owned()),
             ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => Self::Permission(path.to_owned()),
-            _ => Self::Write {
-                path: path.to_owned(),
-                reason: error.to_string(),
-            },
+            _ => Self::Write(path.to_owned(), error.to_string()),
         }
     }
 }

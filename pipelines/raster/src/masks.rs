@@ -62,7 +62,7 @@ pub(super) fn blank(
 
 /// Refuses a mask beside a file that GDAL does not read, or that has another size.
 pub(super) fn check(path: &Path, dataset: &Dataset) -> std::result::Result<(), RasterError> {
-    let unreadable = |path: PathBuf, reason: String| RasterError::Unreadable { path, reason };
+    let unreadable = |path: PathBuf, reason: String| RasterError::Unreadable(path, reason);
     let mask =
         of_band(dataset, 0, |mask| Ok(mask.size())).map_err(|error| unreadable(path.to_owned(), error.to_string()))?;
     let beside = mask_path(path);

@@ -5,7 +5,7 @@
 
 use super::RasterError;
 use super::Window;
-use super::file::{Pixels, RasterFile};
+use super::file::{Composite, RasterFile};
 use heliosplat::Raster;
 use rayon::prelude::*;
 
@@ -31,27 +31,35 @@ impl RasterFile {
         let mut files = panchromatic.files().chain(multispectral.files()).cloned();
         let path = files.next().unwrap_or_default();
         let (others, size, bands) = (files.collect(), panchromatic.size(), multispectral.bands.clone());
-        let pixels = Pixels::Pansharpened(Box::new(Pansharpening {
+        let pair = Pansharpening {
             panchromatic,
             multispectral,
             relation: *relation,
-        }));
-        Self::composed(path, others, size, bands, pixels)
+        };
+        Self::composed(path, others, size, bands, pair)
     }
 }
 
 /// A panchromatic image and the multispectral one of its colours.
-pub(super) struct Pansharpening {
+struct Pansharpening {
     /// Image that gives size, metadata and detail.
-    pub(super) panchromatic: RasterFile,
+    panchromatic: RasterFile,
     /// Image that gives bands and their ratios.
-    pub(super) multispectral: RasterFile,
+    multispectral: RasterFile,
     relation: GridRelation,
 }
 
-impl Pansharpening {
-    /// The values of the given bands of a window, one band after the other; `NaN` where either image has none.
-    pub(super) fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+impl Composite for Pansharpening {
+    fn first(&self) -> &RasterFile {
+        &self.panchromatic
+    }
+
+    fn set_opacity(&mut self, band: Option<usize>) {
+        self.multispectral.set_opacity(band);
+    }
+
+    /// `NaN` where either image has none.
+    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
         let pan = self.panchromatic.read(window, &[0])?;
         let size = self.multispectral.size();
         let across = Taps::along(self.relation, 0, window.col0..window.col0 + window.width, size.0);

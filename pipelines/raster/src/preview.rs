@@ -19,10 +19,7 @@ pub fn write_png(path: &Path, picture: &RgbImage) -> Result<(), RasterError> {
     let mut bytes = Cursor::new(Vec::new());
     picture
         .write_to(&mut bytes, ImageFormat::Png)
-        .map_err(|error| RasterError::Write {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        })?;
+        .map_err(|error| RasterError::Write(path.to_owned(), error.to_string()))?;
     write_atomically(path, bytes.get_ref())
 }
 

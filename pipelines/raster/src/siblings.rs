@@ -26,10 +26,10 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
     };
     // Opening a pipe would block for ever.
     if !known.is_file() {
-        return Err(RasterError::NotAnImage {
-            path: path.to_owned(),
-            reason: "it is a folder, a device or a pipe".to_owned(),
-        });
+        return Err(RasterError::NotAnImage(
+            path.to_owned(),
+            "it is a folder, a device or a pipe".to_owned(),
+        ));
     }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let Ok(entries) = fs::read_dir(folder.unwrap_or_else(|| Path::new("."))) else {
@@ -72,10 +72,7 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
 }
 
 fn unreadable(path: &Path, reason: String) -> RasterError {
-    RasterError::Unreadable {
-        path: path.to_owned(),
-        reason,
-    }
+    RasterError::Unreadable(path.to_owned(), reason)
 }
 
 /// Refuses a file that cannot be read, and an HFA file whose pixels are in another folder.

@@ -2,7 +2,7 @@
 
 use super::RasterError;
 use super::Window;
-use super::file::{Pixels, RasterFile};
+use super::file::{Composite, RasterFile};
 
 impl RasterFile {
     /// Files of equal size as one image with the bands of all; path and metadata are those of the first.
@@ -14,33 +14,33 @@ impl RasterFile {
             return Err(RasterError::Gdal("an image of no files".to_owned()));
         };
         if let Some(other) = files.iter().find(|file| file.size() != first.size()) {
-            return Err(RasterError::NotAnImage {
-                path: other.path().to_owned(),
-                reason: format!(
+            return Err(RasterError::NotAnImage(
+                other.path().to_owned(),
+                format!(
                     "its size is not that of {}, whose other bands it has",
                     first.path().display()
                 ),
-            });
+            ));
         }
         let (path, size) = (first.path().to_owned(), first.size());
         let others = files[1..].iter().flat_map(Self::files).cloned().collect();
         let bands = files.iter().flat_map(|file| file.bands.clone()).collect();
-        let pixels = Pixels::Stacked(Stack(files));
-        Ok(Self::composed(path, others, size, bands, pixels))
+        Ok(Self::composed(path, others, size, bands, Stack(files)))
     }
 }
 
 /// Files of equal size, at least one, in the order of their bands.
-pub(super) struct Stack(Vec<RasterFile>);
+struct Stack(Vec<RasterFile>);
 
-impl Stack {
-    /// The file whose metadata are those of the image.
-    pub(super) fn first(&self) -> &RasterFile {
+impl Composite for Stack {
+    fn first(&self) -> &RasterFile {
         &self.0[0]
     }
 
-    /// The values of the given bands of a window, one band after the other.
-    pub(super) fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+    /// Bands of separate files have no opacity.
+    fn set_opacity(&mut self, _band: Option<usize>) {}
+
+    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
         let mut values = Vec::with_capacity(window.width * window.height * bands.len());
         for &band in bands {
             let mut place = band;

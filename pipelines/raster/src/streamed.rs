@@ -92,10 +92,7 @@ impl StreamedCog {
 }
 
 fn failed(path: &Path, reason: String) -> RasterError {
-    RasterError::Write {
-        path: path.to_owned(),
-        reason,
-    }
+    RasterError::Write(path.to_owned(), reason)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::RasterError;
 use super::Window;
-use super::file::{Pixels, RasterFile};
+use super::file::{Composite, RasterFile};
 use std::path::PathBuf;
 
 /// The last column and row that a tile may begin at: images have no more.
@@ -39,19 +39,19 @@ impl RasterFile {
                 .collect()
         };
         if let Some(other) = files.iter().find(|file| kinds(file) != kinds(first)) {
-            return Err(RasterError::NotAnImage {
-                path: other.path().to_owned(),
-                reason: format!(
+            return Err(RasterError::NotAnImage(
+                other.path().to_owned(),
+                format!(
                     "its bands are not those of {}, of which it is a tile",
                     first.path().display()
                 ),
-            });
+            ));
         }
         if let Some(far) = tiles.iter().find(|tile| tile.first.iter().any(|&at| at > FARTHEST)) {
-            return Err(RasterError::NotAnImage {
-                path: far.path.clone(),
-                reason: format!("as a tile it begins at column and row {:?}", far.first),
-            });
+            return Err(RasterError::NotAnImage(
+                far.path.clone(),
+                format!("as a tile it begins at column and row {:?}", far.first),
+            ));
         }
         let end = |axis: usize| {
             let ends = tiles.iter().zip(&files).map(|(tile, file)| {
@@ -63,28 +63,24 @@ impl RasterFile {
         let (path, bands, size) = (first.path().to_owned(), first.bands.clone(), (end(0), end(1)));
         let others = files[1..].iter().flat_map(Self::files).cloned().collect();
         let placed = tiles.iter().map(|tile| tile.first).zip(files).collect();
-        let pixels = Pixels::Tiles(Box::new(Mosaic(placed)));
-        Ok(Self::composed(path, others, size, bands, pixels))
+        Ok(Self::composed(path, others, size, bands, Mosaic(placed)))
     }
 }
 
 /// Tiles of one image, at least one, each with the column and row of its first pixel in the image.
-pub(super) struct Mosaic(Vec<([usize; 2], RasterFile)>);
+struct Mosaic(Vec<([usize; 2], RasterFile)>);
 
-impl Mosaic {
-    /// The tile whose metadata are those of the image.
-    pub(super) fn first(&self) -> &RasterFile {
+impl Composite for Mosaic {
+    fn first(&self) -> &RasterFile {
         &self.0[0].1
     }
 
-    /// Its tiles.
-    pub(super) fn files_mut(&mut self) -> impl Iterator<Item = &mut RasterFile> {
-        self.0.iter_mut().map(|(_, file)| file)
+    fn set_opacity(&mut self, band: Option<usize>) {
+        self.0.iter_mut().for_each(|(_, file)| file.set_opacity(band));
     }
 
-    /// The values of the given bands of a window, one band after the other; `NaN` outside of all tiles. Where tiles
-    /// overlap, the last one is used.
-    pub(super) fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+    /// Where tiles overlap, the last one is used.
+    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
         let plane = window.width * window.height;
         let mut values = vec![f32::NAN; plane * bands.len()];
         for ([col0, row0], file) in &self.0 {

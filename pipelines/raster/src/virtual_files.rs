@@ -61,10 +61,7 @@ pub fn deliver(source: &Path, target: &Path) -> Result<(), RasterError> {
 
 fn put(source: &Path, target: &Path) -> Result<(), RasterError> {
     let mut file = std::fs::File::open(source).map_err(|error| RasterError::from_io(source, &error))?;
-    let failed = |reason: String| RasterError::Write {
-        path: target.to_owned(),
-        reason,
-    };
+    let failed = |reason: String| RasterError::Write(target.to_owned(), reason);
     let mut fault = None;
     messages::collect_strictly(|| {
         let mut out = VirtualFile::open(target, c"wb")?;

@@ -103,10 +103,7 @@ pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) ->
             0
         }
     };
-    let dataset = build(spec, converted, Some(0.0)).map_err(|reason| RasterError::Write {
-        path: path.to_owned(),
-        reason,
-    })?;
+    let dataset = build(spec, converted, Some(0.0)).map_err(|reason| RasterError::Write(path.to_owned(), reason))?;
     write_copy(path, &dataset, "COG", &cog_options("NEAREST"))
 }
 
@@ -121,10 +118,8 @@ pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(),
         Bytes::Shades => (bytes.nodata(), "AVERAGE"),
     };
     let convert = |_, value: f32| if value.is_nan() { nodata } else { value.round() as u8 };
-    let dataset = build(spec, convert, Some(f32::from(nodata))).map_err(|reason| RasterError::Write {
-        path: path.to_owned(),
-        reason,
-    })?;
+    let dataset =
+        build(spec, convert, Some(f32::from(nodata))).map_err(|reason| RasterError::Write(path.to_owned(), reason))?;
     write_copy(path, &dataset, "COG", &cog_options(resampling))
 }
 
@@ -175,10 +170,7 @@ pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> R
         }
         Ok(copy)
     })
-    .map_err(|reason| RasterError::Write {
-        path: target.to_owned(),
-        reason,
-    })?;
+    .map_err(|reason| RasterError::Write(target.to_owned(), reason))?;
     write_copy(target, &copy, "GTiff", &["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"])
 }
 
@@ -193,10 +185,7 @@ fn in_memory(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<Datase
         SampleType::U8 => build(spec, |_, value| value.round() as u8, None),
         SampleType::U16 => build(spec, |_, value| value.round() as u16, None),
     };
-    built.map_err(|reason| RasterError::Write {
-        path: path.to_owned(),
-        reason,
-    })
+    built.map_err(|reason| RasterError::Write(path.to_owned(), reason))
 }
 
 fn build<T: GdalType + Copy>(
@@ -309,10 +298,7 @@ fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, optio
         dataset.create_copy(&driver, &memory.0, &options)?.close()?;
         gdal::vsi::get_vsi_mem_file_bytes_owned(&memory.0)
     })
-    .map_err(|reason| RasterError::Write {
-        path: path.to_owned(),
-        reason,
-    })?;
+    .map_err(|reason| RasterError::Write(path.to_owned(), reason))?;
     write_atomically(path, &bytes)
 }
 

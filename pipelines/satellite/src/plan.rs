@@ -63,6 +63,16 @@ pub struct PlanItem {
     pub reason: String,
 }
 
+impl PlanItem {
+    fn new(component: &str, on: bool, reason: String) -> Self {
+        Self {
+            component: component.into(),
+            on,
+            reason,
+        }
+    }
+}
+
 /// Input of the plan.
 struct Facts {
     images: usize,
@@ -202,20 +212,14 @@ impl Decisions {
     }
 
     fn in_words(&self, facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
-        let item = |component: &str, on: bool, reason: String| PlanItem {
-            component: component.into(),
-            on,
-            reason,
-        };
+        let item = PlanItem::new;
         // Settings of the user take precedence, and the reason states that.
-        let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, reason: String| {
-            let reason = match set {
-                Some(set) if set != by_facts => {
-                    format!("set so; otherwise {}: {reason}", if by_facts { "on" } else { "off" })
-                }
-                _ => reason,
-            };
-            item(component, on, reason)
+        let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, [yes, no]: [String; 2]| {
+            let (otherwise, reason) = if by_facts { ("on", yes) } else { ("off", no) };
+            match set {
+                Some(set) if set != by_facts => item(component, on, format!("set so; otherwise {otherwise}: {reason}")),
+                _ => item(component, on, reason),
+            }
         };
         let &Facts { images, dates, .. } = facts;
         let [many_view_matching, cost_aggregation] = matching_items(&facts.matching, self.matching);
@@ -226,62 +230,61 @@ impl Decisions {
                 self.image_colour,
                 config.model.image_colour,
                 dates > 1,
-                if dates > 1 {
-                    format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour")
-                } else {
-                    "all images are of one date: one colour is enough".into()
-                },
+                [
+                    format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour"),
+                    "all images are of one date: one colour is enough".into(),
+                ],
             ),
             decided(
                 "model.clouds",
                 self.clouds,
                 config.model.clouds,
                 images >= FEWEST_VIEWS,
-                if images >= FEWEST_VIEWS {
+                [
                     format!(
                         "{images} views: areas much brighter than the sunlit ground of the other views are left out as clouds"
-                    )
-                } else {
-                    format!("{images} views are too few to separate clouds from ground")
-                },
+                    ),
+                    format!("{images} views are too few to separate clouds from ground"),
+                ],
             ),
             decided(
                 "model.change",
                 self.change,
                 config.model.change,
                 facts.is_divided(),
-                match facts.dividing_days {
-                    None => "an image has no date: changes cannot be ordered in time".into(),
-                    Some(0) => "no day has two images before and two after it, as a surface needs".into(),
-                    Some(days) => format!(
-                        "{days} possible days of change with two images before and after: searching changed buildings"
+                [
+                    format!(
+                        "{} possible days of change with two images before and after: searching changed buildings",
+                        facts.dividing_days.unwrap_or(0)
                     ),
-                },
+                    match facts.dividing_days {
+                        None => "an image has no date: changes cannot be ordered in time".into(),
+                        Some(_) => "no day has two images before and two after it, as a surface needs".into(),
+                    },
+                ],
             ),
             decided(
                 "model.saturation",
                 self.saturation,
                 config.model.saturation,
                 facts.clipped > 0.0,
-                if facts.clipped > 0.0 {
+                [
                     format!(
                         "{:.2} % of the values are saturated: the model may be brighter",
                         100.0 * facts.clipped
-                    )
-                } else {
-                    "no image is clipped".into()
-                },
+                    ),
+                    "no image is clipped".into(),
+                ],
             ),
             decided(
                 SHADOW_PRIOR,
                 self.shadow_prior,
                 config.model.shadow_prior,
                 images < ENOUGH_VIEWS,
-                if images < ENOUGH_VIEWS {
-                    format!("{images} views are few: dark pixels with an object toward the sun guide the shadows")
-                } else {
-                    format!("{images} views: enough to find shadows from the geometry alone")
-                },
+                [
+                    format!("{images} views are few: dark pixels with an object toward the sun guide the shadows"),
+                    format!("{images} views: enough to find shadows from the geometry alone"),
+                ],
             ),
             item(
                 "start.vegetation_index",
@@ -318,11 +321,7 @@ impl Decisions {
 
 /// Plan items of the sweep's matching parameters: for many or for few views, and the windows.
 fn matching_items(facts: &Result<MatchingFacts, String>, parameters: Option<MatchingParameters>) -> [PlanItem; 2] {
-    let item = |component: &str, on: bool, reason: String| PlanItem {
-        component: component.into(),
-        on,
-        reason,
-    };
+    let item = PlanItem::new;
     let components = ["start.many_views", "start.cost_aggregation"];
     let (facts, parameters) = match (facts, parameters) {
         (Ok(facts), Some(parameters)) => (facts, parameters),

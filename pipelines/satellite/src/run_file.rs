@@ -9,7 +9,7 @@ use crate::error::SatelliteError;
 use crate::fit::Fitted;
 use crate::plan::PlanItem;
 use heliosplat::gaussians::Table;
-use heliosplat_fitting::run_folder::{Input, RUN, RunError, read};
+use heliosplat_fitting::run_folder::{Input, RUN, RunError, parsed, read};
 use heliosplat_products::model::{self, ModelFile, ModelImage};
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{AreaRequest, Index, KeptCut, Scene, Split};
@@ -112,10 +112,7 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
 /// # Errors
 /// When a file cannot be written.
 pub fn save(folder: &Path, run: &RunFile, cut: &KeptCut, file: &ModelFile, gaussians: &Table) -> Result<(), RunError> {
-    let text = toml::to_string_pretty(run).map_err(|error| RunError::Damaged {
-        path: folder.join(RUN),
-        reason: error.to_string(),
-    })?;
+    let text = toml::to_string_pretty(run).map_err(|error| RunError::Damaged(folder.join(RUN), error.to_string()))?;
     let cut = serde_json::to_string(cut).unwrap_or_default();
     model::save(folder, &[(RUN, &text), (CUT, &cut)], file, gaussians)
 }
@@ -125,11 +122,7 @@ pub fn save(folder: &Path, run: &RunFile, cut: &KeptCut, file: &ModelFile, gauss
 /// # Errors
 /// When the file is missing or damaged.
 pub fn load_run(folder: &Path) -> Result<RunFile, RunError> {
-    let path = folder.join("run.toml");
-    if !path.is_file() {
-        return Err(RunError::NotARun(folder.to_owned()));
-    }
-    RunFile::parse(&read(&path)?).map_err(|reason| RunError::Damaged { path, reason })
+    parsed(folder, RUN, RunFile::parse)
 }
 
 /// Name of the file with the cut of a run.
@@ -141,10 +134,7 @@ pub const CUT: &str = "cut.json";
 /// When the file is missing or damaged.
 pub fn cut_of(run: &Path) -> Result<KeptCut, RunError> {
     let path = run.join(CUT);
-    let damaged = |reason: String| RunError::Damaged {
-        path: path.clone(),
-        reason,
-    };
+    let damaged = |reason: String| RunError::Damaged(path.clone(), reason);
     if !path.is_file() {
         return Err(damaged(
             "not there, so the pixels that the run was trained on are not known".into(),

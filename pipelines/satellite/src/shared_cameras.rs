@@ -107,12 +107,12 @@ fn solve(index: &Index, tracks: &[Track], frame: &LocalFrame) -> Result<Adjustme
 /// Ties of a patch, in pixels of the image files; none where too few images show the patch or match there.
 fn ties_of(index: &Index, options: &IngestOptions, config: &SatelliteConfig) -> Result<Vec<Track>, SatelliteError> {
     let mut cut = match Cut::of(index, options, &mut Vec::new()) {
-        Err(SceneError::NotCovered { .. }) => return Ok(Vec::new()),
+        Err(SceneError::NotCovered(..)) => return Ok(Vec::new()),
         cut => cut?,
     };
     cut.is_part = true;
     let scene = match Scene::read(index, &cut, Vec::new()) {
-        Err(SceneError::NotCovered { .. }) => return Ok(Vec::new()),
+        Err(SceneError::NotCovered(..)) => return Ok(Vec::new()),
         scene => scene?,
     };
     let decisions = Decisions::of(&scene, config);

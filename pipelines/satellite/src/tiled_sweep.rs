@@ -204,7 +204,7 @@ impl TiledSweep<'_> {
         let read = cut.part(index, part);
         match read.and_then(|part| Scene::read(index, &part, Vec::new())) {
             Ok(scene) => Ok(Some(scene)),
-            Err(SceneError::NotCovered { .. }) => Ok(None),
+            Err(SceneError::NotCovered(..)) => Ok(None),
             Err(error) => Err(error.into()),
         }
     }

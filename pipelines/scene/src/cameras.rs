@@ -37,10 +37,7 @@ impl<'a> SceneCameras<'a> {
         let range = index.altitudes(options.altitude_range_m, None, &mut Vec::new())?;
         let images: Vec<&IndexImage> = index.training().collect();
         let Some(first) = images.first() else {
-            return Err(SceneError::TooFewViews {
-                path: index.source.clone(),
-                count: 0,
-            });
+            return Err(SceneError::TooFewViews(index.source.clone(), 0));
         };
         let middle_m = 0.5 * (range.low_m + range.high_m);
         let origin = match &options.area {

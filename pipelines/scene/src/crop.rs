@@ -103,8 +103,13 @@ pub fn camera(map: &ProjectiveMap, crop: &Crop, shift_px: [f32; 2]) -> Projectiv
 
 /// Unit vector toward a sun in the scene's frame; `None` where the sun is unknown.
 pub fn direction(sun: &ImageSun) -> Option<Vec3> {
-    let direction = sun.position?.direction_enu();
-    Some(Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32))
+    sun.position.as_ref().map(toward)
+}
+
+/// Unit vector toward a sun at this position in the scene's frame.
+pub fn toward(sun: &SunPosition) -> Vec3 {
+    let direction = sun.direction_enu();
+    Vec3::new(direction.x as f32, direction.y as f32, direction.z as f32)
 }
 
 /// Largest time between two images of one pass, seconds; they have one light. A satellite 600 km up sees a place from

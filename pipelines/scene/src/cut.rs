@@ -76,7 +76,7 @@ impl Cut {
             .collect();
         let Some(first) = all.first().filter(|_| count >= 2) else {
             let path = index.source.clone();
-            return Err(SceneError::TooFewViews { path, count });
+            return Err(SceneError::TooFewViews(path, count));
         };
         let altitude_m = (limits_m.0 + limits_m.1) / 2.0;
         // Any frame near the scene suffices to find the centre.
@@ -275,10 +275,7 @@ fn check_bands(images: &[IndexImage]) -> Result<(), SceneError> {
 }
 
 fn not_covered(source: &Path, area: &str) -> SceneError {
-    SceneError::NotCovered {
-        path: source.to_owned(),
-        area: area.to_owned(),
-    }
+    SceneError::NotCovered(source.to_owned(), area.to_owned())
 }
 
 /// Error for images that share no ground; names the first and the last training image.

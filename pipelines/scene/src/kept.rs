@@ -2,8 +2,8 @@
 
 use super::crop::Crop;
 use super::{AltitudeRange, Area, BandKind, Cut, CutImage, RpcPreference, SceneError, SceneImage, Split};
-use heliosplat_delivery::{Counts, FileIdentity, Hashes, Index, IndexImage, hash_of_values};
-use heliosplat_raster::{Window, is_virtual};
+use heliosplat_delivery::{Counts, FileIdentity, Hashes, Index, IndexImage};
+use heliosplat_raster::{Window, is_virtual, sha256};
 use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -102,7 +102,7 @@ impl KeptCut {
         for kept in &mut self.images {
             if !kept.is_whole() {
                 let read = images.iter().find(|image| image.name == kept.name);
-                kept.pixels_sha256 = read.map(|image| hash_of_values(&image.pixels.values));
+                kept.pixels_sha256 = read.map(|image| sha256::of_values(&image.pixels.values));
                 continue;
             }
             for path in &kept.paths {
@@ -119,7 +119,7 @@ impl KeptCut {
     pub fn check_pixels(&self, images: &[SceneImage]) -> Result<(), String> {
         for kept in self.images.iter().filter(|kept| kept.pixels_sha256.is_some()) {
             let read = images.iter().find(|image| image.name == kept.name);
-            if let Some(read) = read.filter(|read| kept.pixels_sha256 != Some(hash_of_values(&read.pixels.values))) {
+            if let Some(read) = read.filter(|read| kept.pixels_sha256 != Some(sha256::of_values(&read.pixels.values))) {
                 return Err(format!("{} has changed", read.path.display()));
             }
         }

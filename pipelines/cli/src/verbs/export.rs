@@ -7,8 +7,8 @@ use crate::outcome::{CliError, Outcome};
 use crate::outputs::{Inputs, must_end_in};
 use bytesize::ByteSize;
 use heliosplat_pages::page::MOSAIC_FILE;
-use heliosplat_products::export::{Mosaic, Request, Subject, Written, write};
-use heliosplat_products::model::{LoadedModel, load};
+use heliosplat_products::export::{Request, Subject, Written, write};
+use heliosplat_products::model::load;
 use heliosplat_rpc::sun::sun_position;
 use serde_json::json;
 use std::path::Path;
@@ -18,7 +18,7 @@ use std::path::Path;
 /// # Errors
 /// When the run, the sun, an option or a file name cannot be used, or a file cannot be written.
 pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
-    let source = Source::open(&args.run)?;
+    let (subject, gaussians) = open(&args.run)?;
     for (given, name) in [
         (args.light.is_some(), "light"),
         (args.toward.is_some(), "toward"),
@@ -55,7 +55,7 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
     }
     let sun = match (args.sun, args.time) {
         (Some(sun), _) => Some(sun),
-        (None, Some(time)) => Some(sun_position(time, source.subject().frame().origin)),
+        (None, Some(time)) => Some(sun_position(time, subject.frame().origin)),
         (None, None) => None,
     };
     let request = Request {
@@ -66,42 +66,22 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
         tiles_of_mesh,
         sun,
     };
-    let export = write(source.subject(), &request)?;
+    let export = write(&subject, &request)?;
     let lines: Vec<String> = export.written.iter().map(line).collect();
     Ok(Outcome {
         text: lines.join("\n"),
-        json: json!({"written": export.written, "said": export.said, "gaussians": source.gaussians()}),
+        json: json!({"written": export.written, "said": export.said, "gaussians": gaussians}),
     })
 }
 
-/// Source of an export.
-enum Source {
-    Run(Box<LoadedModel>),
-    Mosaic(Box<Mosaic>),
-}
-
-impl Source {
-    fn open(folder: &Path) -> Result<Self, CliError> {
-        Ok(match folder.join(MOSAIC_FILE).is_file() {
-            true => Self::Mosaic(Box::new(mosaic::open(folder)?)),
-            false => Self::Run(Box::new(load(folder)?)),
-        })
+/// The run or the mosaic in a folder, and the number of Gaussians of a run.
+fn open(folder: &Path) -> Result<(Subject, Option<usize>), CliError> {
+    if folder.join(MOSAIC_FILE).is_file() {
+        return Ok((Subject::Mosaic(Box::new(mosaic::open(folder)?)), None));
     }
-
-    fn subject(&self) -> Subject<'_> {
-        match self {
-            Self::Run(model) => Subject::Run(model),
-            Self::Mosaic(mosaic) => Subject::Mosaic(mosaic),
-        }
-    }
-
-    /// Number of Gaussians of a run; `None` for a mosaic, whose tiles are read later.
-    fn gaussians(&self) -> Option<usize> {
-        match self {
-            Self::Run(model) => Some(model.parameters.gaussians.count),
-            Self::Mosaic(_) => None,
-        }
-    }
+    let model = load(folder)?;
+    let gaussians = model.parameters.gaussians.count;
+    Ok((Subject::Run(Box::new(model)), Some(gaussians)))
 }
 
 fn line(written: &Written) -> String {

@@ -325,10 +325,8 @@ fn keep(run: &Path, relit: &Value) -> Result<(), CliError> {
     if !path.is_file() {
         return Ok(());
     }
-    let mut metrics: Value = serde_json::from_str(&read(&path)?).map_err(|error| RunError::Damaged {
-        path,
-        reason: error.to_string(),
-    })?;
+    let mut metrics: Value =
+        serde_json::from_str(&read(&path)?).map_err(|error| RunError::Damaged(path, error.to_string()))?;
     metrics["relit"] = relit.clone();
     save_metrics(run, &metrics)?;
     report::write(run)?;

@@ -1,9 +1,8 @@
 //! Sections of a report, from top to bottom; many of them are shared by runs, objects and mosaics.
 
-use super::{Contents, Folder, surface};
+use super::{Contents, Folder};
 use crate::page::chart::{Line, lines, lines_within};
 use crate::page::{MIB, calibration, inline_picture, number, plain, section};
-use crate::view::Exhibit;
 use heliosplat_evaluate::uncertainty::Uncertainty;
 use heliosplat_products::model::ModelImage;
 use heliosplat_products::set::date_of;
@@ -46,37 +45,6 @@ pub(super) fn keys(all: &[Key]) -> Markup {
 /// Line with input, preset, seed and version of a run.
 pub(super) fn origin(scene: &std::path::Path, preset: &str, seed: u64, version: &str) -> Markup {
     html! { p.faint { (scene.display().to_string()) " · preset " (preset) " · seed " (seed) " · heliosplat " (version) } }
-}
-
-/// Dates of the images, and the key figures of the surface and its accuracy.
-pub(super) fn head(run: &Contents, shown: Option<&Exhibit>) -> Markup {
-    let measured = &run.folder;
-    let protocol = measured.metrics.pointer("/dsm/protocol").and_then(Value::as_str);
-    let mae = format!("mean absolute height error, {}", protocol.unwrap_or("raw"));
-    let number = |pointer: &str| measured.number(pointer);
-    let percent = |pointer: &str| number(pointer).map(|share| 100.0 * share);
-    let mut dates: Vec<String> = run.model.images.iter().map(date_of).collect();
-    let images = dates.len();
-    dates.sort_unstable();
-    dates.dedup();
-    let more = [
-        (mae.as_str(), number("/dsm/mae_m"), 3, "m"),
-        ("median height error", number("/dsm/median_m"), 3, "m"),
-        ("of the truth's cells known", percent("/dsm/completeness"), 1, "%"),
-        ("shadow accuracy", percent("/shadow/accuracy"), 1, "%"),
-    ];
-    html! {
-        p.faint {
-            (images) " images"
-            @if let ([first, .., last], true) = (&dates[..], run.model.images.iter().any(|image| image.time.is_some())) {
-                " on " (dates.len()) " dates from " (first) " to " (last)
-            } @else if let [date] = &dates[..] { " of " (date) }
-        }
-        @match shown {
-            Some(shown) => (surface::head(measured, shown, &more)),
-            None => (keys(&more)),
-        }
-    }
 }
 
 /// Picture of at most `width` pixels width over its caption; empty without a picture.

@@ -97,10 +97,7 @@ fn listed(tileset: &Value) -> BTreeSet<String> {
 }
 
 fn occupied(folder: &Path, name: &str) -> RasterError {
-    RasterError::Occupied {
-        path: folder.to_owned(),
-        name: name.to_owned(),
-    }
+    RasterError::Occupied(folder.to_owned(), name.to_owned())
 }
 
 #[cfg(test)]

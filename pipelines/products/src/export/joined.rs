@@ -20,10 +20,7 @@ pub fn join_tilesets(path: &Path, parts: &[(String, PathBuf)]) -> Result<(), Exp
     let mut whole: Option<Region> = None;
     let mut coarsest: f64 = 0.0;
     for (uri, file) in parts {
-        let damaged = |reason: &str| RasterError::Damaged {
-            path: file.clone(),
-            reason: reason.to_owned(),
-        };
+        let damaged = |reason: &str| RasterError::Damaged(file.clone(), reason.to_owned());
         let text = bounded::read_text(file).map_err(|error| damaged(&error.to_string()))?;
         let tileset: Value = serde_json::from_str(&text).map_err(|error| damaged(&error.to_string()))?;
         let region = region(&tileset["root"]).ok_or_else(|| damaged("it has no box on Earth"))?;

@@ -1,6 +1,6 @@
 //! Times in file names, and the date tag of a TIFF: weaker than metadata, because their meaning is not specified.
 
-use super::time::utc;
+use super::time::{month_of, utc};
 use jiff::Timestamp;
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
@@ -54,16 +54,13 @@ fn of_date_and_time(date: &str, time: &str) -> Option<Timestamp> {
 
 /// `YYMONDDhhmmss`.
 fn maxar(part: &str) -> Option<Timestamp> {
-    const MONTHS: [&str; 12] = [
-        "JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC",
-    ];
     let (year, rest) = part.split_at_checked(2)?;
     let (month, rest) = rest.split_at_checked(3)?;
     let digits = |text: &str| text.bytes().all(|b| b.is_ascii_digit());
     if rest.len() != 8 || !digits(year) || !digits(rest) {
         return None;
     }
-    let month = MONTHS.iter().position(|name| month.eq_ignore_ascii_case(name))? + 1;
+    let month = month_of(month)?;
     plausible(utc(&format!("20{year}{month:02}{rest}"))?)
 }
 

@@ -62,13 +62,10 @@ fn compact(text: &str) -> Option<String> {
 
 /// `DDhhmmssZMONYY`.
 fn nitf_2_0(text: &str) -> Option<String> {
-    const MONTHS: [&str; 12] = [
-        "JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC",
-    ];
     if text.len() != 14 || &text[8..9] != "Z" || !text[..8].bytes().all(|b| b.is_ascii_digit()) {
         return None;
     }
-    let month = MONTHS.iter().position(|name| text[9..12].eq_ignore_ascii_case(name))? + 1;
+    let month = month_of(&text[9..12])?;
     let year: u32 = text[12..].parse().ok()?;
     // No reconnaissance image is older than the sixties.
     let year = if year < 60 { 2000 + year } else { 1900 + year };
@@ -79,6 +76,14 @@ fn nitf_2_0(text: &str) -> Option<String> {
         &text[4..6],
         &text[6..8]
     ))
+}
+
+/// Number of a month, from 1, of its first three letters in English.
+pub(super) fn month_of(name: &str) -> Option<usize> {
+    const MONTHS: [&str; 12] = [
+        "JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC",
+    ];
+    Some(MONTHS.iter().position(|month| name.eq_ignore_ascii_case(month))? + 1)
 }
 
 #[cfg(test)]
