@@ -57,8 +57,8 @@ pub struct ModelOptions {
     pub specular: bool,
     /// True if light may scatter under surfaces, in `olat`; short fits decide.
     pub scattering: bool,
-    /// True if a network refines shadows, in `olat`: on for matt objects (1.9 dB), off for metal, where it gains
-    /// nothing. Short fits do not measure it.
+    /// True if a network refines shadows, in `olat`. Off: it gains −0.1 to 0.4 dB in a quarter more time, see
+    /// docs/lab/objects.md. Short fits do not measure it.
     pub refined_shadow: bool,
     /// True if the light that reaches surfaces is traced, in `olat`. It is off in the comparison of
     /// docs/lab/objects.md, which takes a sixth of the time.
