@@ -2,7 +2,7 @@
 """Check the documents: lengths, links, anchors and paths, the shape of lab pages, and the openings of doc comments.
 
 Prints one line `file:line: message` for each finding and exits with 1 if there is any. With `--program FILE` it also
-checks the commands of README and guides against the help of that program: verbs and options exist. Standard library only.
+checks the commands of README, guides and packaging against the help of that program: verbs and options exist. Standard library only.
 """
 
 import os
@@ -295,6 +295,9 @@ def main():
             findings.add("length", page, README_LINES + 1, f"{len(text.splitlines())} lines, at most {README_LINES}")
         if page == "CHANGELOG.md":
             check_changelog(page, text, findings)
+    for path in sorted(filter(Path.is_file, (ROOT / "packaging").rglob("*"))) if program else []:
+        # The text is read as one block of code; the first line is a comment.
+        check_commands(str(path.relative_to(ROOT)), "```" + path.read_text(encoding="utf-8"), findings, program)
     check_summary(pages, findings)
     bad = findings.report() + check_doc_comments()
     print(f"{len(pages)} documents, {bad} findings")

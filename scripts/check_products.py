@@ -3,7 +3,8 @@
 
     python3 scripts/check_products.py FOLDER [--schemas FOLDER]
 
-Uses what there is of: gdalinfo, GDAL's own COG validator (python3-gdal), PROJ by pyproj or osr, laspy with lazrs, PDAL, pystac.
+Uses what there is of: gdalinfo, GDAL's own COG validator (python3-gdal), PROJ by pyproj or osr, laspy with lazrs, PDAL, pystac; and of
+programs that read surface models: rasterio, xdem, rioxarray, whitebox_workflows, demcompare, umep, which have to find the same numbers.
 The schemas of STAC's core come with pystac; those of extensions are read from --schemas (one JSON file each, by their `$id`), else
 fetched by pystac, which needs the network. Exit code 1 when a check fails.
 """
@@ -51,6 +52,68 @@ def check_rasters(folder):
         x, y, _ = back.TransformPoint(lon, lat)
         off = max(abs(x - six[0]), abs(y - six[3]))
         say(f"PROJ there and back {path.name}", off < 1e-3, f"{off:.1e} m")
+
+
+def of_whitebox(path):
+    import whitebox_workflows
+
+    return whitebox_workflows.WbEnvironment().read_raster(path).to_numpy()
+
+
+def of_rasterio(path):
+    import rasterio
+
+    with rasterio.open(path) as file:
+        return file.read(1)
+
+
+def of_xdem(path):
+    import xdem
+
+    return xdem.DEM(path).data.filled(-9999)
+
+
+def of_rioxarray(path):
+    import rioxarray
+
+    return rioxarray.open_rasterio(path)[0]
+
+
+def of_demcompare(path):
+    from demcompare.dem_tools import load_dem
+
+    return load_dem(path).image
+
+
+def of_umep(path):
+    from umep.common import load_raster
+
+    return load_raster(path, None)[0]
+
+
+def of_gdal(path):
+    from osgeo import gdal
+
+    return gdal.Open(path).ReadAsArray()
+
+
+def check_readers(folder):
+    """Altitudes of the surface model by each reader: number of known cells, mean, least and largest."""
+    path = next((str(path) for path in (folder / "dsm.tif", folder.parent / "dsm.tif") if path.is_file()), None)
+    found = {}
+    for reader in (of_gdal, of_rasterio, of_xdem, of_rioxarray, of_whitebox, of_demcompare, of_umep) if path else ():
+        name = reader.__name__.removeprefix("of_")
+        try:
+            import numpy
+
+            values = numpy.asarray(reader(path), dtype=float)
+        except ImportError:
+            print(f"skip {name}: not installed")
+            continue
+        known = values[numpy.isfinite(values) & (values != -9999)]
+        found[name] = [known.size, *(round(float(f(known)), 4) for f in (numpy.mean, numpy.min, numpy.max))]
+    for name, numbers in found.items():
+        say(f"{name} reads dsm.tif", numbers == next(iter(found.values())), str(numbers))
 
 
 def check_points(folder):
@@ -107,6 +170,7 @@ def main():
     parser.add_argument("--schemas", type=pathlib.Path)
     given = parser.parse_args()
     check_rasters(given.folder)
+    check_readers(given.folder)
     check_points(given.folder)
     check_stac(given.folder, given.schemas)
     sys.exit(1 if failures else 0)
