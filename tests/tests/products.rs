@@ -73,7 +73,7 @@ fn band(dataset: &Dataset, index: usize) -> Vec<f32> {
 }
 
 /// Name of the file, descriptions of its bands, nodata.
-const EXPECTED: [(&str, &[&str], f64); 13] = [
+const EXPECTED: [(&str, &[&str], f64); 14] = [
     ("dsm", &["altitude"], -9999.0),
     ("dsm_stddev", &["standard_deviation"], -9999.0),
     ("dsm_coverage", &["coverage"], -9999.0),
@@ -83,6 +83,7 @@ const EXPECTED: [(&str, &[&str], f64); 13] = [
     ("hillshade", &["shade"], 0.0),
     ("albedo", &["red", "green", "blue", "near_infrared"], -9999.0),
     ("vegetation", &["vegetation"], 255.0),
+    ("canopy", &["canopy_height"], -9999.0),
     ("relit", &["red", "green", "blue", "near_infrared"], -9999.0),
     ("relit_shadow", &["shadow"], 255.0),
     ("shadow_2016-04-23", &["shadow"], 255.0),
@@ -225,6 +226,18 @@ fn values_make_sense(out: &Path) {
         } else {
             ground == *z && above == *z
         });
+    }
+    let heights = band(&open("ndsm.tif"), 1);
+    for ((canopy, leaf), above) in band(&open("canopy.tif"), 1)
+        .iter()
+        .zip(band(&open("vegetation.tif"), 1))
+        .zip(heights)
+    {
+        let expected = match (leaf, above) {
+            (255.0, _) | (_, -9999.0) => -9999.0,
+            _ => leaf * above,
+        };
+        assert_eq!(*canopy, expected);
     }
     let (known, shade) = (known.count(), band(&open("hillshade.tif"), 1));
     assert_eq!(

@@ -85,6 +85,8 @@ pub struct Writer<'a> {
     out: &'a Path,
     vertical_datum: &'static str,
     completeness: f64,
+    /// Heights above the ground, metres, once they are written.
+    above: Option<Raster>,
     assets: Vec<Asset>,
     layers: Vec<Layer>,
     /// The item and the layer file of earlier products in the folder.
@@ -107,6 +109,7 @@ impl<'a> Writer<'a> {
             out,
             vertical_datum: "WGS84 ellipsoid",
             completeness: 0.0,
+            above: None,
             assets: Vec::new(),
             layers: Vec::new(),
             earlier: (serde_json::from_str(&item).unwrap_or_default(), layers),
@@ -268,10 +271,13 @@ impl<'a> Writer<'a> {
         self.quantity(("dtm", &title), &ground, ("ground", "metre"), &[datum], style)?;
         let title = "Heights of buildings and trees above the ground";
         let style = Style::amounts(&above.values);
-        self.quantity(("ndsm", title), &above, ("height_above_ground", "metre"), &[], style)
+        self.quantity(("ndsm", title), &above, ("height_above_ground", "metre"), &[], style)?;
+        self.above = Some(above);
+        Ok(())
     }
 
-    /// Writes the albedo with a thumbnail and, where there is a vegetation index, the vegetation mask.
+    /// Writes the albedo with a thumbnail and, where there is a vegetation index, the vegetation mask and, after the
+    /// surface, the heights of the vegetation.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -297,7 +303,16 @@ impl<'a> Writer<'a> {
         };
         let leaves = ortho::vegetation(albedo, index);
         let names = ("vegetation", "Vegetation by its index", "vegetation");
-        self.bytes(names, &leaves, Bytes::Mask, None)
+        self.bytes(names, &leaves, Bytes::Mask, None)?;
+        let Some(mut canopy) = self.above.take() else {
+            return Ok(());
+        };
+        for (height, leaf) in canopy.values.iter_mut().zip(&leaves.values) {
+            *height *= leaf;
+        }
+        let title = "Heights of vegetation above the ground, 0 elsewhere";
+        let style = Style::amounts(&canopy.values);
+        self.quantity(("canopy", title), &canopy, ("canopy_height", "metre"), &[], style)
     }
 
     /// Writes the ortho image under a sun, in counts, and its shadow mask.
