@@ -142,7 +142,7 @@ pub fn train<P: Clone + Serialize>(
                 ..point(&report, l1)
             });
         }
-        if report.step == FIRST_REPORT || report.step % REPORT_EVERY == 0 {
+        if report.step < steps && (report.step == FIRST_REPORT || report.step.is_multiple_of(REPORT_EVERY)) {
             let gaussians = grouped(report.gaussians);
             let left_s = pace.step_s() * steps.saturating_sub(report.step) as f64;
             tracing::info!("Step {} of {steps}, about {left_s:.0} s left", report.step);

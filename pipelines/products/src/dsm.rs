@@ -81,9 +81,9 @@ impl SurfaceFacts {
     /// Report of three lines on the surface model in `file`.
     pub fn in_words(&self, file: &Path) -> String {
         let [low, high] = self.heights_m;
-        let deviation = self
-            .deviation_m
-            .map_or_else(String::new, |metres| format!(", standard deviation {metres:.2} m"));
+        let deviation = self.deviation_m.map_or_else(String::new, |metres| {
+            format!(", median standard deviation {metres:.2} m")
+        });
         format!(
             "surface model  {}\n               {}, cells of {} m, {:.1} % of the ground known\n               heights {low:.0} to {high:.0} m above the {}{deviation}",
             file.display(),

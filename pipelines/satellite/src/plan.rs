@@ -231,7 +231,14 @@ impl Decisions {
                 config.model.image_colour,
                 dates > 1,
                 [
-                    format!("{dates} dates differ in haze, exposure and season: each image gets an affine colour"),
+                    match facts.dividing_days {
+                        None => "an image has no date: each image gets an affine colour".into(),
+                        Some(_) => {
+                            format!(
+                                "{dates} dates differ in haze, exposure and season: each image gets an affine colour"
+                            )
+                        }
+                    },
                     "all images are of one date: one colour is enough".into(),
                 ],
             ),
@@ -254,7 +261,7 @@ impl Decisions {
                 facts.is_divided(),
                 [
                     format!(
-                        "{} possible days of change with two images before and after: searching changed buildings",
+                        "searching changed buildings; days with two images before and after: {}",
                         facts.dividing_days.unwrap_or(0)
                     ),
                     match facts.dividing_days {

@@ -267,8 +267,13 @@ pub(super) fn lower(
 pub(super) fn log_lowered(lowered: &Lowered) {
     if lowered.parts > 0 {
         tracing::info!(
-            "Reopened {} shaded courtyards or alleys ({:.0} m²)",
+            "Reopened {} shaded {} ({:.0} m²)",
             lowered.parts,
+            if lowered.parts == 1 {
+                "courtyard or alley"
+            } else {
+                "courtyards or alleys"
+            },
             lowered.area_m2
         );
     }

@@ -248,7 +248,7 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
         scene.source.display()
     ));
     line(format_args!(
-        "centre    {}, altitudes {low:.0} to {high:.0} m ({})",
+        "centre    {}, {low:.0} to {high:.0} m above the ellipsoid ({})",
         crate::args::place_in_words(origin),
         scene.altitude_source
     ));
@@ -266,16 +266,22 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
         scene.gsd_m
     ));
     line(format_args!("values    {}", values_in_words(&scene.images)));
-    let truth = |path: &Option<PathBuf>| {
-        path.as_ref()
-            .map_or("none".to_owned(), |path| path.display().to_string())
+    let masks = match scene.truth.shadows.len() {
+        0 => None,
+        count => Some(format!("{count} shadow masks")),
     };
-    line(format_args!(
-        "truth     DSM {}, classes {}, {} shadow masks",
-        truth(&scene.truth.dsm),
-        truth(&scene.truth.classes),
-        scene.truth.shadows.len()
-    ));
+    let file = |kind: &str, path: &Option<PathBuf>| path.as_ref().map(|path| format!("{kind} {}", path.display()));
+    let truth = [
+        file("DSM", &scene.truth.dsm),
+        file("classes", &scene.truth.classes),
+        masks,
+    ];
+    if truth.iter().any(Option::is_some) {
+        line(format_args!(
+            "truth     {}",
+            truth.into_iter().flatten().collect::<Vec<_>>().join(", ")
+        ));
+    }
     let longest = scene
         .images
         .iter()
@@ -284,16 +290,16 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
         .unwrap_or(0)
         .max(5);
     line(format_args!(
-        "\n{:<longest$}  split  pixels       type     off-nadir  fit rms / max px  sun az / el          time",
+        "\n{:<longest$}  split  pixels       type     off-nadir  fit rms / max px  sun az / el            time",
         "image"
     ));
     for image in &scene.images {
-        let angle = |which: usize| match image.sun.angles_deg() {
-            Some(angles) => format!("{:.1}", angles[which]),
-            None => "-".to_owned(),
+        let sun = match image.sun.angles_deg() {
+            Some([azimuth, elevation]) => format!("{azimuth:>6.1} / {elevation:<4.1} {}", image.sun.source.name()),
+            None => "unknown".to_owned(),
         };
         line(format_args!(
-            "{:<longest$}  {:<5}  {:<11}  {:<7}  {:>7.1}    {:>7.4} / {:<7.4} {:>6} / {:<4} {:<8}  {}",
+            "{:<longest$}  {:<5}  {:<11}  {:<7}  {:>7.1}    {:>7.4} / {:<7.4} {sun:<22}  {}",
             image.name,
             if image.split == Split::Train { "train" } else { "test" },
             format!("{}x{}", image.pixels.width, image.pixels.height),
@@ -301,9 +307,6 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
             off_nadir_deg(image),
             image.pinhole.rms_px,
             image.pinhole.max_px,
-            angle(0),
-            angle(1),
-            image.sun.source.name(),
             image.time.map_or("unknown".to_owned(), |time| time.to_string())
         ));
     }

@@ -56,7 +56,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     drop(part);
     let estimate = estimate::estimate(&scene, &config);
     tracing::info!(
-        "preset {}: {} steps, about {:.2} GiB of memory",
+        "Preset {}: {} steps, about {:.2} GiB of memory",
         preset.name(),
         estimate.steps,
         estimate.peak_bytes / f64::from(1 << 30)
