@@ -206,7 +206,7 @@ fn head(run: &Contents, shown: Option<&Exhibit>) -> Markup {
             (images) " images"
             @if let ([first, .., last], true) = (&dates[..], run.model.images.iter().any(|image| image.time.is_some())) {
                 " on " (dates.len()) " dates from " (first) " to " (last)
-            } @else if let [date] = &dates[..] { " of " (date) }
+            } @else if let [date] = &dates[..] { ", " (date) }
         }
         @match shown {
             Some(shown) => (surface::head(measured, shown, &more)),

@@ -38,7 +38,7 @@ pub(super) fn head(folder: &Folder, shown: &Exhibit, more: &[Key]) -> Markup {
     let deviation = deviation.map(|(m, _)| f64::from(m));
     let figures = [
         ("of the map known", Some(100.0 * share), 1, "%"),
-        ("lowest heights (1st percentile)", Some(low), 1, "m"),
+        ("lowest height (1st percentile)", Some(low), 1, "m"),
         ("highest (99th percentile)", Some(high), 1, "m"),
         ("median standard deviation", deviation, 2, "m"),
     ];
