@@ -108,6 +108,7 @@ def inputs(program, folder):
     for name in ["other", "north", "south", "demo/run", "object_run"]:
         shutil.copytree(folder / ("lit_run" if name == "object_run" else "run"), folder / name)
     shutil.copytree(truth, folder / "elsewhere" / "truth")
+    shutil.copytree(ROOT / "examples" / "kahramanmaras", folder / "examples" / "kahramanmaras")
     (folder / "masks").mkdir()
     for mask in truth.glob("shadow_*.tif"):
         shutil.copy(mask, folder / "masks" / mask.name.removeprefix("shadow_"))
