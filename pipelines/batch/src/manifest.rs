@@ -364,11 +364,11 @@ impl Manifest {
 /// powers of 1000, like `kB`, `MB` and `GB`.
 ///
 /// # Errors
-/// Message for the user, if the text is no size above zero.
+/// Message for the user, if the text is no size of a kibibyte or more: a bare `4` means gibibytes to most.
 pub fn bytes(text: &str) -> Result<u64, String> {
     match text.trim().parse::<ByteSize>() {
-        Ok(size) if size.as_u64() > 0 => Ok(size.as_u64()),
-        _ => Err("expected a size such as 512MiB or 4GiB".to_owned()),
+        Ok(size) if size.as_u64() >= 1 << 10 => Ok(size.as_u64()),
+        _ => Err("expected a size with its unit, such as 512MiB or 4GiB".to_owned()),
     }
 }
 
@@ -478,7 +478,7 @@ mod tests {
         ] {
             assert_eq!(bytes(text), Ok(bytes_of), "{text}");
         }
-        for bad in ["", "0", "0GiB", "-1GiB", "lots", "GiB", "4Gib/s", "nan", "inf"] {
+        for bad in ["", "0", "5", "0GiB", "-1GiB", "lots", "GiB", "4Gib/s", "nan", "inf"] {
             assert!(bytes(bad).is_err(), "{bad}");
         }
     }

@@ -71,7 +71,9 @@ const PICTURES: [&str; 2] = ["relit", "views"];
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The folder holds no finished run.
-    #[error("{0}: not a finished run (it has no model.json); train one with `heliosplat train SCENE --out {0}`")]
+    #[error(
+        "{0}: not a finished run (it has no model.json); `heliosplat train SCENE --out RUN` makes one, `heliosplat dsm SCENE --from sweep` needs none"
+    )]
     NotARun(PathBuf),
     /// An invalid file of the run. Fields: the file, the fault.
     #[error("{0}: {1}; train the run again")]
