@@ -10,11 +10,11 @@ use tempfile::tempdir;
 
 /// Scenes that every run of the tests tries.
 const SCENES: u64 = 40;
-/// Most of them that are silently wrong.
-const SILENT: usize = 1;
+/// Scenes that once were silently wrong: stated altitudes beside the ground, and a street filled to its roofs.
+const ONCE: [u64; 5] = [1190, 1919, 3074, 3302, 3571];
 
 #[test]
-fn few_scenes_are_silently_wrong() {
+fn no_scene_is_silently_wrong() {
     let is_silent = |request: &FuzzRequest| {
         let folder = tempdir().expect("a temporary folder");
         match request.outcome(folder.path()) {
@@ -22,9 +22,9 @@ fn few_scenes_are_silently_wrong() {
             outcome => matches!(outcome, Outcome::Silent(_)),
         }
     };
-    let of_half = |first: u64| {
-        let requests = (first..SCENES).step_by(2).map(FuzzRequest::of_seed);
-        requests.filter(is_silent).collect::<Vec<_>>()
+    let of_half = |first: usize| {
+        let seeds = (0..SCENES).chain(ONCE).skip(first).step_by(2);
+        seeds.map(FuzzRequest::of_seed).filter(is_silent).collect::<Vec<_>>()
     };
     // A warning is heard on the thread of its scene, so that scenes are not jobs of the pool.
     let mut wrong = std::thread::scope(|scope| {
@@ -34,7 +34,7 @@ fn few_scenes_are_silently_wrong() {
         even
     });
     wrong.sort_by_key(|request| request.seed);
-    assert!(wrong.len() <= SILENT, "{wrong:?}");
+    assert!(wrong.is_empty(), "{wrong:?}");
 }
 
 /// Least shares of errors within one, two and four deviations, at any angle; normal errors have 0.68, 0.95 and 1.

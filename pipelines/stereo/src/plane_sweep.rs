@@ -31,6 +31,8 @@ const SAME_PATCH_CELLS: f32 = 2.0;
 const SAME_PATCH_STEPS: f32 = 2.0;
 /// Smallest patch that is no mismatch, cells: 16 are two metres across at half a metre a cell.
 const SPECKLE_CELLS: usize = 16;
+/// Height steps from either end of the search within which the least cost is not known to be a minimum.
+const END_STEPS: f32 = 0.5;
 /// Probability above which an altitude is not in doubt.
 const SURE_PROBABILITY: f32 = 0.8;
 
@@ -66,7 +68,8 @@ pub fn plane_sweep(views: &[SweepView], request: &PlaneSweepRequest, progress: &
     let witnesses = seen(&search.level_views(1), &grid, &altitude, &standing, found.step_m);
     let of_pairs = judged.variance_of_pairs(&witnesses, found.step_m / request.parameters.step_cells);
     let Witnesses { views, base_to_height } = witnesses;
-    let searched_m = request.volume.altitude_min_m - found.step_m..request.volume.altitude_max_m + found.step_m;
+    let end_m = END_STEPS * found.step_m;
+    let searched_m = request.volume.altitude_min_m + end_m..request.volume.altitude_max_m - end_m;
     let cells = evidence.iter().zip(&views).zip(&altitude);
     let matched: Vec<bool> = cells
         .map(|((evidence, views), altitude)| is_match(*evidence, f32::from(*views)) && searched_m.contains(altitude))

@@ -6,9 +6,9 @@
 //! - **Pairs.** Each pair of views has an altitude of its own, the one of least census distance near the surface.
 //!   Pointing errors, another image's camera and a wrong height offset move the pairs apart. The variance of their
 //!   weighted mean, which grows with the square of the base, is that of the altitude.
-//! - **Surroundings.** Beside water and ground without texture, the aggregation continues the altitudes of its
-//!   neighbours. Cells whose own surroundings show no evidence have the variance of the altitudes in the window that
-//!   does.
+//! - **Surroundings.** Beside water and ground without texture, and in streets, the aggregation continues the altitudes
+//!   of its neighbours. Cells whose own surroundings show no evidence have the variance of the altitudes in a wider
+//!   window.
 //!
 //! Limits: one pair has no second opinion, and errors that all pairs share remain.
 
@@ -26,6 +26,9 @@ use rayon::prelude::*;
 const SHIFTS: [f32; 5] = [-2.0, -1.0, 0.0, 1.0, 2.0];
 /// Half of the window over which the distances of a pair are averaged, cells.
 const PAIR_CELLS: usize = 2;
+/// Half of the window whose altitudes a cell without evidence of its own may have, cells: it reaches across a street
+/// and the house beside it to the next ground (docs/lab/known.md).
+const SURROUNDINGS_CELLS: usize = 24;
 /// Rows that are resampled together at all shifts.
 const STRIP_ROWS: usize = 16;
 
@@ -94,7 +97,7 @@ impl LevelSurface<'_> {
             }
             let above = self
                 .grid
-                .around(cell, WINDOW_CELLS)
+                .around(cell, SURROUNDINGS_CELLS)
                 .map(|near| self.altitude_m[near] - self.altitude_m[cell]);
             let (count, sum, squares) = above.fold((0.0f32, 0.0f32, 0.0f32), |(count, sum, squares), above| {
                 (count + 1.0, sum + above, squares + above * above)
