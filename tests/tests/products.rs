@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use tempfile::{TempDir, tempdir};
 
-/// A run over flat ground with four bands, made once; the last view is of another day.
+/// A run over flat ground with four bands, made once; the second view is of another pass, the last one of another day.
 static RUN: LazyLock<TempDir> = LazyLock::new(|| {
     let home = tempdir().expect("a temporary folder");
     let scene = home.path().join("scene");
@@ -22,6 +22,7 @@ static RUN: LazyLock<TempDir> = LazyLock::new(|| {
         bands: 4,
         ..View::new(number)
     });
+    views[1].date = Some("20160423140000");
     views[2].date = Some("20160920101500");
     write_scene(&scene, &views);
     let mut arguments: Vec<OsString> = [
@@ -73,7 +74,7 @@ fn band(dataset: &Dataset, index: usize) -> Vec<f32> {
 }
 
 /// Name of the file, descriptions of its bands, nodata.
-const EXPECTED: [(&str, &[&str], f64); 14] = [
+const EXPECTED: [(&str, &[&str], f64); 15] = [
     ("dsm", &["altitude"], -9999.0),
     ("dsm_stddev", &["standard_deviation"], -9999.0),
     ("dsm_coverage", &["coverage"], -9999.0),
@@ -87,6 +88,7 @@ const EXPECTED: [(&str, &[&str], f64); 14] = [
     ("relit", &["red", "green", "blue", "near_infrared"], -9999.0),
     ("relit_shadow", &["shadow"], 255.0),
     ("shadow_2016-04-23", &["shadow"], 255.0),
+    ("shadow_2016-04-23_1400", &["shadow"], 255.0),
     ("shadow_2016-09-20", &["shadow"], 255.0),
 ];
 

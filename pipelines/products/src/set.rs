@@ -45,13 +45,26 @@ pub fn date_of(image: &ModelImage) -> String {
     }
 }
 
-/// Dates of a run whose sun is known, by name, each with the sun of its first image.
+/// Largest angle between the suns of images of one day that have one light, degrees: five minutes of a pass.
+const ONE_SUN_DEG: f64 = 1.25;
+
+/// Dates of a run whose sun is known, by name, each with the sun of its first image. A further pass of a day, under
+/// another sun, has its time (UTC) in its name, such as `2026-06-21_1500`.
 pub fn dates(images: &[ModelImage]) -> Vec<(String, SunPosition)> {
-    let mut known = BTreeMap::new();
-    for image in images {
-        if let Some(sun) = image.sun {
-            known.entry(date_of(image)).or_insert(sun);
-        }
+    let mut known: BTreeMap<String, SunPosition> = BTreeMap::new();
+    for (image, sun) in images.iter().filter_map(|image| Some((image, image.sun?))) {
+        let day = date_of(image);
+        let is_lit_alike = |other: &SunPosition| {
+            let cosine = other.direction_enu().dot(&sun.direction_enu());
+            cosine.clamp(-1.0, 1.0).acos().to_degrees() <= ONE_SUN_DEG
+        };
+        let mut of_day = known.iter().filter(|(name, _)| name.starts_with(&day));
+        let name = match (of_day.clone().next(), image.time) {
+            _ if of_day.any(|(_, other)| is_lit_alike(other)) => continue,
+            (Some(_), Some(time)) => time.strftime("%Y-%m-%d_%H%M").to_string(),
+            _ => day,
+        };
+        known.entry(name).or_insert(sun);
     }
     known.into_iter().collect()
 }

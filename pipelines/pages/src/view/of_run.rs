@@ -81,7 +81,7 @@ fn traced(model: &LoadedModel, nadir: &NadirGrid) -> Result<Vec<TracedDate>, Vie
     let all = dates(&model.file.images);
     let step = all.len().div_ceil(DATES_MAX).max(1);
     for (name, sun) in all.into_iter().step_by(step) {
-        let image = model.file.images.iter().find(|image| date_of(image) == name);
+        let image = model.file.images.iter().find(|image| image.sun == Some(sun));
         let is_lit = model.file.has_light() && sun.elevation_rad.to_degrees() >= LOWEST_SUN_DEG;
         let shadows = is_lit.then(|| above.shadows(&sun)).transpose()?;
         out.push(TracedDate {
