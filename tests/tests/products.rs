@@ -309,7 +309,7 @@ fn the_point_cloud_has_colours_a_coordinate_system_and_lies_on_the_surface() {
 }
 
 #[test]
-fn heights_above_a_geoid_differ_by_it_and_a_missing_grid_is_named_before_anything_is_written() {
+fn heights_above_a_geoid_differ_by_it_in_all_files_and_a_missing_grid_is_named_before_anything_is_written() {
     let home = tempdir().expect("a temporary folder");
     let at = |name: &str| home.path().join(name);
     if Undulation::new(Geoid::Egm2008).is_err() {
@@ -349,6 +349,32 @@ fn heights_above_a_geoid_differ_by_it_and_a_missing_grid_is_named_before_anythin
         reader.header().bounds().min.z
     };
     assert!((lowest("ellipsoid") - lowest("geoid") - height).abs() < 0.05);
+    // A vertical part of the coordinate system is the same as the geoid, in all three files.
+    json(&products(&[&run()], &at("compound"), &["--crs", "EPSG:32637+5773"]));
+    assert_eq!(band(&open("compound"), 1), band(&above, 1));
+    assert_eq!(lowest("compound"), lowest("geoid"));
+    let reader = las::Reader::from_path(at("compound").join("points.laz")).expect("a LAZ file");
+    let wkt = reader
+        .header()
+        .get_wkt_crs_bytes()
+        .expect("a coordinate system")
+        .to_vec();
+    assert!(String::from_utf8_lossy(&wkt).contains("EGM96"));
+    let item = read_json(&at("compound").join("item.json"));
+    assert_eq!(item["properties"]["heliosplat:vertical_datum"], "EGM96");
+    let surface = &item["assets"]["dsm"];
+    assert!(
+        surface["title"]
+            .as_str()
+            .is_some_and(|title| title.ends_with("above EGM96"))
+    );
+    let known = band(&above, 1).into_iter().filter(|z| *z != -9999.0);
+    let least = f64::from(known.fold(f32::MAX, f32::min));
+    let stated = surface["bands"][0]["statistics"]["minimum"].as_f64();
+    assert!(
+        stated.is_some_and(|stated| (stated - least).abs() < 1e-3),
+        "{stated:?} {least}"
+    );
 }
 
 #[test]
