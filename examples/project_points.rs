@@ -47,9 +47,5 @@ fn parse(text: &str) -> Result<GeoPoint, Box<dyn Error>> {
     let Ok(&[lon_deg, lat_deg, height_m]) = numbers.as_deref() else {
         return Err(format!("{text}: expected LON,LAT,ALT").into());
     };
-    Ok(GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m,
-    })
+    Ok(GeoPoint::new(lon_deg, lat_deg, height_m))
 }

@@ -234,11 +234,7 @@ mod tests {
     use nalgebra::Vector3;
 
     fn sensor(off_nadir_deg: f64) -> Sensor {
-        let frame = LocalFrame::new(GeoPoint {
-            lon_deg: 4.8,
-            lat_deg: 45.7,
-            height_m: 225.0,
-        });
+        let frame = LocalFrame::new(GeoPoint::new(4.8, 45.7, 225.0));
         let view = ViewGeometry {
             azimuth_rad: 1.1,
             off_nadir_rad: off_nadir_deg.to_radians(),

@@ -71,10 +71,7 @@ fn camera(image: &Value) -> Result<KnownCamera, String> {
         .parse()
         .map_err(|error| format!("capTime is no time ({error})"))?;
     let rpc = heliosplat_rpc::read::satnerf_json(&image.to_string()).map_err(|error| error.to_string())?;
-    let middle = ImagePoint {
-        col: 0.5 * (number("width")? - 1.0),
-        row: 0.5 * (number("height")? - 1.0),
-    };
+    let middle = ImagePoint::new(0.5 * (number("width")? - 1.0), 0.5 * (number("height")? - 1.0));
     let centre = rpc
         .localise(middle, rpc.height_offset_m)
         .map_err(|error| format!("its middle sees no ground ({error})"))?;
@@ -98,11 +95,7 @@ pub(crate) fn common_centre(cameras: &[KnownCamera]) -> GeoPoint {
         let mut values: Vec<f64> = cameras.iter().map(|camera| pick(&camera.centre)).collect();
         upper_median(&mut values).unwrap_or(f64::NAN)
     };
-    GeoPoint {
-        lon_deg: median(|p| p.lon_deg),
-        lat_deg: median(|p| p.lat_deg),
-        height_m: median(|p| p.height_m),
-    }
+    GeoPoint::new(median(|p| p.lon_deg), median(|p| p.lat_deg), median(|p| p.height_m))
 }
 
 #[cfg(test)]
@@ -126,11 +119,7 @@ mod tests {
 
     /// A file of three cameras that see one place in the middle of their images.
     fn file(folder: &Path) -> (std::path::PathBuf, GeoPoint) {
-        let place = GeoPoint {
-            lon_deg: -58.6,
-            lat_deg: -34.45,
-            height_m: 30.0,
-        };
+        let place = GeoPoint::new(-58.6, -34.45, 30.0);
         let frame = LocalFrame::new(place);
         let fit = PushBroom::new(&frame, &VIEW, [2000.0, 2000.0]).fit_rational_camera(&frame);
         let rpc = fit.expect("a camera").rpc;

@@ -180,11 +180,11 @@ impl Collection {
 
 fn place(random: &mut Pcg64Mcg) -> GeoPoint {
     let [lon_deg, lat_deg, height_m] = PLACES[random.random_range(0..PLACES.len())];
-    GeoPoint {
-        lon_deg: lon_deg + random.random_range(-0.04..0.04),
-        lat_deg: lat_deg + random.random_range(-0.04..0.04),
-        height_m: height_m + random.random_range(0.0..60.0),
-    }
+    GeoPoint::new(
+        lon_deg + random.random_range(-0.04..0.04),
+        lat_deg + random.random_range(-0.04..0.04),
+        height_m + random.random_range(0.0..60.0),
+    )
 }
 
 /// Date in its share of two years, at 9:30 to 11:30 mean solar time, with the sun high enough.
@@ -310,10 +310,7 @@ fn geometry_of(rpc: &Rpc, frame: &LocalFrame) -> Result<ViewGeometry, heliosplat
     const SPAN_M: f64 = 100.0;
     let middle = rpc.project(frame.origin);
     let ground = |col: f64, row: f64, up_m: f64| {
-        let point = ImagePoint {
-            col: middle.col + col,
-            row: middle.row + row,
-        };
+        let point = ImagePoint::new(middle.col + col, middle.row + row);
         let height_m = frame.origin.height_m + up_m;
         rpc.localise(point, height_m).map(|point| frame.enu_from_geo(point))
     };

@@ -37,10 +37,10 @@ impl RationalSensor {
         let nodes_along = |pixels: usize| (pixels as f64 / NODE_PX).ceil() as usize + 4;
         let (columns, rows) = (nodes_along(crop.width), nodes_along(crop.height));
         let place = |node: usize, up_m: f64| {
-            let point = ImagePoint {
-                col: corner[0] + NODE_PX * (node % columns) as f64,
-                row: corner[1] + NODE_PX * (node / columns) as f64,
-            };
+            let point = ImagePoint::new(
+                corner[0] + NODE_PX * (node % columns) as f64,
+                corner[1] + NODE_PX * (node / columns) as f64,
+            );
             let ground = rpc.localise(point, frame.origin.height_m + up_m)?;
             Ok(frame.enu_from_geo(ground))
         };
@@ -81,11 +81,7 @@ mod tests {
 
     #[test]
     fn rays_pass_through_what_the_camera_projects_to_their_pixel() {
-        let frame = LocalFrame::new(GeoPoint {
-            lon_deg: -58.6,
-            lat_deg: -34.45,
-            height_m: 30.0,
-        });
+        let frame = LocalFrame::new(GeoPoint::new(-58.6, -34.45, 30.0));
         let view = ViewGeometry {
             azimuth_rad: 1.0,
             off_nadir_rad: 0.5,

@@ -207,11 +207,7 @@ mod tests {
 
     #[test]
     fn the_sun_of_an_equinox_is_up_for_about_twelve_hours() {
-        let place = GeoPoint {
-            lon_deg: 150.0,
-            lat_deg: -33.0,
-            height_m: 0.0,
-        };
+        let place = GeoPoint::new(150.0, -33.0, 0.0);
         let suns = suns_of_day(place);
         let hours = suns.len() as f64 * STEP_S as f64 / 3600.0;
         assert!((11.8..12.3).contains(&hours), "{hours}");

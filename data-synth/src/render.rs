@@ -223,11 +223,7 @@ mod tests {
 
     impl Studio {
         fn new(off_nadir_deg: f64, sun: SunPosition) -> Self {
-            let frame = LocalFrame::new(GeoPoint {
-                lon_deg: 11.6,
-                lat_deg: 48.1,
-                height_m: 560.0,
-            });
+            let frame = LocalFrame::new(GeoPoint::new(11.6, 48.1, 560.0));
             let view = ViewGeometry {
                 azimuth_rad: 2.2,
                 off_nadir_rad: off_nadir_deg.to_radians(),

@@ -92,62 +92,28 @@ pub fn write_satellite(
     let altitudes_m = loose_altitudes_m(truth.altitude_range_m(), request.seed);
     let total = cameras.iter().map(|camera| camera.crop.height).sum::<usize>() + request.relight * grid.size;
     let mut done = 0;
+    let mut rows_done = |rows| {
+        done += rows;
+        progress(done, total);
+    };
+    let delivered = Delivered {
+        staging: &staging,
+        request,
+        collection: &collection,
+        altitudes_m,
+    };
     let mut images: Vec<Option<ImageSummary>> = vec![None; cameras.len()];
-    for date in 0..collection.dates.len() {
-        let plan = &collection.dates[date];
-        let haze = request.has(Fault::Haze).then(|| Haze::of_date(request.seed, date));
+    for (date, plan) in collection.dates.iter().enumerate() {
         let solids = fitted(request, city.solids_with_cars(date, plan.car_occupancy));
         let tracer = Tracer::new(&city.terrain, solids.primitives);
         let scene = LitScene::of(&tracer, &solids.surfaces, &city.ground);
-        for (index, view) in collection
-            .views
-            .iter()
-            .enumerate()
-            .filter(|(_, view)| view.date == date)
-        {
-            let camera = &cameras[index];
-            let light = light_of(request, plan, view, camera, haze.as_ref());
-            let gains = (request.has(Fault::BandGains)).then(|| faults::band_gains(request.seed, index));
-            let exposure = Exposure {
-                sensor: &camera.sensor,
-                crop: camera.crop,
-                light: &light,
-                bands: request.bands,
-                encoding: encoding_of(request, plan, view),
-                band_gains: gains.unwrap_or([1.0; 4]),
-                sea_is_missing: request.cover == Some(Cover::Nodata),
-                seed: view.geometry.seed,
-            };
-            let mut image = render(&scene, &exposure, &mut |rows| {
-                done += rows;
-                progress(done, total);
-            });
-            let stretch = (request.has(Fault::Stretch))
-                .then(|| faults::stretch(&mut image.counts, request.bands, view.geometry.seed));
-            let (view, image) = match request.delivery {
-                Delivery::Whole => (view.clone(), image),
-                Delivery::PanMs => {
-                    delivery::write_multispectral(&staging, request, view, (&camera.rpc, camera.canvas), &image)?;
-                    let exposure = delivery::panchromatic_exposure(&exposure);
-                    let pan = render(&scene, &exposure, &mut |_| ());
-                    (delivery::panchromatic_view(view), pan)
-                }
-            };
-            write_image(&staging, request, &view, camera, &image, altitudes_m)?;
-            images[index] = Some(ImageSummary {
-                band_gains: gains.map_or_else(Vec::new, |gains| gains[..request.bands.names().len()].to_vec()),
-                haze,
-                stretch,
-                ..image_summary(&view, camera, &image)
-            });
+        for index in (0..cameras.len()).filter(|&index| collection.views[index].date == date) {
+            images[index] = Some(delivered.image(index, &cameras[index], &scene, &mut rows_done)?);
         }
     }
     if request.relight > 0 {
         let sensor = NadirSensor { frame, grid };
-        relight(&staging, request, &collection, (&city, &sensor), &mut |rows| {
-            done += rows;
-            progress(done, total);
-        })?;
+        relight(&staging, request, &collection, (&city, &sensor), &mut rows_done)?;
     }
     let summary = Summary {
         request: request.clone(),
@@ -162,6 +128,61 @@ pub fn write_satellite(
     write_lists(&staging, &summary)?;
     staging.finish()?;
     Ok(summary)
+}
+
+/// Request and folder that all images of a delivery share.
+struct Delivered<'a> {
+    staging: &'a Staging,
+    request: &'a SatelliteRequest,
+    collection: &'a Collection,
+    /// Altitudes of the scene that the metadata state.
+    altitudes_m: [f64; 2],
+}
+
+impl Delivered<'_> {
+    /// Renders and writes the image at `index`, of `scene` on its date.
+    fn image(
+        &self,
+        index: usize,
+        camera: &ImageCamera,
+        scene: &LitScene,
+        rows_done: &mut dyn FnMut(usize),
+    ) -> Result<ImageSummary, SynthError> {
+        let (request, view) = (self.request, &self.collection.views[index]);
+        let plan = &self.collection.dates[view.date];
+        let haze = request.has(Fault::Haze).then(|| Haze::of_date(request.seed, view.date));
+        let light = light_of(request, plan, view, camera, haze.as_ref());
+        let gains = (request.has(Fault::BandGains)).then(|| faults::band_gains(request.seed, index));
+        let exposure = Exposure {
+            sensor: &camera.sensor,
+            crop: camera.crop,
+            light: &light,
+            bands: request.bands,
+            encoding: encoding_of(request, plan, view),
+            band_gains: gains.unwrap_or([1.0; 4]),
+            sea_is_missing: request.cover == Some(Cover::Nodata),
+            seed: view.geometry.seed,
+        };
+        let mut image = render(scene, &exposure, rows_done);
+        let stretch = (request.has(Fault::Stretch))
+            .then(|| faults::stretch(&mut image.counts, request.bands, view.geometry.seed));
+        let (view, image) = match request.delivery {
+            Delivery::Whole => (view.clone(), image),
+            Delivery::PanMs => {
+                delivery::write_multispectral(self.staging, request, view, (&camera.rpc, camera.canvas), &image)?;
+                let exposure = delivery::panchromatic_exposure(&exposure);
+                let pan = render(scene, &exposure, &mut |_| ());
+                (delivery::panchromatic_view(view), pan)
+            }
+        };
+        write_image(self.staging, request, &view, camera, &image, self.altitudes_m)?;
+        Ok(ImageSummary {
+            band_gains: gains.map_or_else(Vec::new, |gains| gains[..request.bands.names().len()].to_vec()),
+            haze,
+            stretch,
+            ..image_summary(&view, camera, &image)
+        })
+    }
 }
 
 /// Solids of the scene, with solar panels on some roofs if glossy surfaces are requested.
@@ -277,11 +298,7 @@ fn crop_of(
         for altitude_m in request.site.covered_altitudes_m() {
             let [lon_deg, lat_deg] = grid.lon_lat(col, row);
             let height_m = frame.origin.height_m + altitude_m;
-            let pixel = project(frame.enu_from_geo(GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m,
-            }));
+            let pixel = project(frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, height_m)));
             for k in 0..2 {
                 low[k] = low[k].min(pixel[k]);
                 high[k] = high[k].max(pixel[k]);
@@ -353,11 +370,7 @@ fn changed_at(city: &City, collection: &Collection, frame: &LocalFrame, grid: &T
     let of_cell = |cell: usize| {
         let [lon_deg, lat_deg] = grid.lon_lat((cell % grid.size) as f64 + 0.5, (cell / grid.size) as f64 + 0.5);
         let height_m = frame.origin.height_m;
-        let at = frame.enu_from_geo(GeoPoint {
-            lon_deg,
-            lat_deg,
-            height_m,
-        });
+        let at = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, height_m));
         city.changed_at(at.x, at.y).map_or(0.0, day)
     };
     (0..grid.size * grid.size).into_par_iter().map(of_cell).collect()

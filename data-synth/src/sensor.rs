@@ -301,11 +301,7 @@ pub(crate) fn distance_to_height(frame: &LocalFrame, ray: &Ray, height_m: f64) -
 
 /// The Earth's centre and axis in a local frame.
 fn earth_in(frame: &LocalFrame) -> (Vector3<f64>, Unit<Vector3<f64>>) {
-    let pole = heliosplat_rpc::GeoPoint {
-        lon_deg: 0.0,
-        lat_deg: 90.0,
-        height_m: 0.0,
-    };
+    let pole = heliosplat_rpc::GeoPoint::new(0.0, 90.0, 0.0);
     let opposite = heliosplat_rpc::GeoPoint { lat_deg: -90.0, ..pole };
     let (north, south) = (frame.enu_from_geo(pole), frame.enu_from_geo(opposite));
     (0.5 * (north + south), Unit::new_normalize(north - south))
@@ -326,11 +322,7 @@ mod tests {
     use heliosplat_rpc::GeoPoint;
 
     fn sensor(seed: u64) -> (LocalFrame, PushBroom, ViewGeometry) {
-        let frame = LocalFrame::new(GeoPoint {
-            lon_deg: 4.85,
-            lat_deg: 45.75,
-            height_m: 220.0,
-        });
+        let frame = LocalFrame::new(GeoPoint::new(4.85, 45.75, 220.0));
         let view = ViewGeometry {
             azimuth_rad: 2.0 + seed as f64,
             off_nadir_rad: 0.4,

@@ -114,11 +114,7 @@ mod tests {
 
     #[test]
     fn grid_is_snapped_and_centred_and_its_cells_are_areas() {
-        let centre = GeoPoint {
-            lon_deg: -3.70,
-            lat_deg: 40.42,
-            height_m: 700.0,
-        };
+        let centre = GeoPoint::new(-3.70, 40.42, 700.0);
         let grid = TruthGrid::around(centre, 48.0, 0.5);
         assert_eq!(grid.size, 96);
         assert_eq!((grid.west_m / 0.5).fract(), 0.0);
@@ -139,21 +135,13 @@ mod tests {
         use crate::raytrace::Tracer;
         use crate::solid::{Finish, Solids};
         use crate::terrain::HeightField;
-        let origin = GeoPoint {
-            lon_deg: 150.93,
-            lat_deg: -33.82,
-            height_m: 61.5,
-        };
+        let origin = GeoPoint::new(150.93, -33.82, 61.5);
         let frame = LocalFrame::new(origin);
         let grid = TruthGrid::around(origin, 24.0, 0.5);
         // A flat roof whose corners are given in the grid: columns 10.25 to 20.75, rows 5.25 to 14.75.
         let corner = |col: f64, row: f64| {
             let [lon_deg, lat_deg] = grid.lon_lat(col, row);
-            frame.enu_from_geo(GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m: 73.25,
-            })
+            frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, 73.25))
         };
         let corners = [
             corner(10.25, 5.25),

@@ -50,13 +50,7 @@ impl TruthGrid {
 /// altitudes (metres above the frame's origin) toward the lower.
 pub(crate) fn plumb_line(frame: &LocalFrame, grid: &TruthGrid, [col, row]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Ray {
     let [lon_deg, lat_deg] = grid.lon_lat(col, row);
-    let at = |height_m: f64| {
-        frame.enu_from_geo(GeoPoint {
-            lon_deg,
-            lat_deg,
-            height_m: frame.origin.height_m + height_m,
-        })
-    };
+    let at = |height_m: f64| frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m + height_m));
     let (top, bottom) = (at(high_m), at(low_m));
     Ray {
         origin: top,

@@ -218,11 +218,7 @@ fn the_tag_and_the_json_of_an_image_hold_the_same_camera_and_it_covers_the_site_
         for (east, north) in [(0.0, 0.0), (far, 0.0), (0.0, -far), (far, -far)] {
             for height_m in [low_m, high_m] {
                 let [lon_deg, lat_deg] = grid.zone.unproject(grid.west_m + east, grid.north_m + north);
-                let ImagePoint { col, row } = rpc.project(GeoPoint {
-                    lon_deg,
-                    lat_deg,
-                    height_m,
-                });
+                let ImagePoint { col, row } = rpc.project(GeoPoint::new(lon_deg, lat_deg, height_m));
                 let inside =
                     (0.0..image.size_px[0] as f64).contains(&col) && (0.0..image.size_px[1] as f64).contains(&row);
                 assert!(inside, "{}: ({col}, {row}) of {:?}", image.name, image.size_px);

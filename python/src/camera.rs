@@ -53,13 +53,7 @@ impl Camera {
         same_length(&[lon, lat, height])?;
         let (cols, rows) = py.detach(|| {
             in_chunks(lon.len(), |range| {
-                let points: Vec<GeoPoint> = range
-                    .map(|i| GeoPoint {
-                        lon_deg: lon[i],
-                        lat_deg: lat[i],
-                        height_m: height[i],
-                    })
-                    .collect();
+                let points: Vec<GeoPoint> = range.map(|i| GeoPoint::new(lon[i], lat[i], height[i])).collect();
                 let found = project_all(&self.rpc, &points).into_iter();
                 found.map(|point| [point.col, point.row]).collect()
             })
@@ -80,13 +74,7 @@ impl Camera {
         same_length(&[col, row, height])?;
         let (lons, lats) = py.detach(|| {
             in_chunks(col.len(), |range| {
-                let points: Vec<ImagePoint> = range
-                    .clone()
-                    .map(|i| ImagePoint {
-                        col: col[i],
-                        row: row[i],
-                    })
-                    .collect();
+                let points: Vec<ImagePoint> = range.clone().map(|i| ImagePoint::new(col[i], row[i])).collect();
                 let found = self.rpc.localise_all(&points, &height[range]).into_iter();
                 found
                     .map(|point| point.map_or([f64::NAN; 2], |point| [point.lon_deg, point.lat_deg]))

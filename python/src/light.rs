@@ -38,11 +38,7 @@ pub(crate) fn sun_positions<'py>(
         (0..times.len())
             .into_par_iter()
             .map(|i| {
-                let at = GeoPoint {
-                    lon_deg: lon[i],
-                    lat_deg: lat[i],
-                    height_m: height[i],
-                };
+                let at = GeoPoint::new(lon[i], lat[i], height[i]);
                 let sun = sun_position(Timestamp::from_microsecond(times[i])?, at);
                 Ok([sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees()])
             })

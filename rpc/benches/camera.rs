@@ -9,10 +9,12 @@ fn points(criterion: &mut Criterion) {
     let rpc = Rpc::example();
     let fraction = |i: usize, step: f64| (i as f64 * step).fract();
     let ground: Vec<GeoPoint> = (0..POINTS)
-        .map(|i| GeoPoint {
-            lon_deg: 36.88 + 0.06 * fraction(i, 0.618_033_988_7),
-            lat_deg: 37.56 + 0.04 * fraction(i, 0.754_877_666_2),
-            height_m: 700.0,
+        .map(|i| {
+            GeoPoint::new(
+                36.88 + 0.06 * fraction(i, 0.618_033_988_7),
+                37.56 + 0.04 * fraction(i, 0.754_877_666_2),
+                700.0,
+            )
         })
         .collect();
     let image: Vec<ImagePoint> = ground.iter().map(|&point| rpc.project(point)).collect();

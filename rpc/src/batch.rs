@@ -214,10 +214,10 @@ impl Rpc {
     }
 
     fn image_point(&self, image: &Image, lane: usize) -> ImagePoint {
-        ImagePoint {
-            col: image.col[lane] * self.sample_scale + self.sample_offset,
-            row: image.row[lane] * self.line_scale + self.line_offset,
-        }
+        ImagePoint::new(
+            image.col[lane] * self.sample_scale + self.sample_offset,
+            image.row[lane] * self.line_scale + self.line_offset,
+        )
     }
 }
 

@@ -48,11 +48,7 @@ pub fn geo_from_ecef(ecef_m: Vector3<f64>) -> GeoPoint {
     // This form of the height has no division by a cosine that vanishes at the poles.
     let height_m = horizontal_m * cos_lat + ecef_m.z * sin_lat
         - WGS84_SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQUARED * sin_lat * sin_lat).sqrt();
-    GeoPoint {
-        lon_deg: ecef_m.y.atan2(ecef_m.x).to_degrees(),
-        lat_deg: lat_rad.to_degrees(),
-        height_m,
-    }
+    GeoPoint::new(ecef_m.y.atan2(ecef_m.x).to_degrees(), lat_rad.to_degrees(), height_m)
 }
 
 /// An ENU frame: metres east, north and up of `origin`.

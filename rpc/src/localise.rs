@@ -107,11 +107,11 @@ impl Rpc {
             .or_else(|| problem.continuation(centre.image))
             .or_else(|| problem.grid_of_starts())
             .ok_or_else(failure)?;
-        let ground = GeoPoint {
-            lon_deg: wrapped_longitude_deg(solution.x * self.longitude_scale_deg + self.longitude_offset_deg),
-            lat_deg: solution.y * self.latitude_scale_deg + self.latitude_offset_deg,
+        let ground = GeoPoint::new(
+            wrapped_longitude_deg(solution.x * self.longitude_scale_deg + self.longitude_offset_deg),
+            solution.y * self.latitude_scale_deg + self.latitude_offset_deg,
             height_m,
-        };
+        );
         // Scales that are zero or not finite show only in the final point.
         let seen = self.project(ground);
         let off_px = (seen.col - point.col).hypot(seen.row - point.row);

@@ -167,10 +167,7 @@ fn sample_grid(
         for down in 0..across {
             for right in 0..across {
                 let pixel = Vector2::new(share(right, across) * last_col, share(down, across) * last_row);
-                let image = ImagePoint {
-                    col: pixel.x + window.col0,
-                    row: pixel.y + window.row0,
-                };
+                let image = ImagePoint::new(pixel.x + window.col0, pixel.y + window.row0);
                 let ground: GeoPoint = rpc.localise(image, height_m)?;
                 samples.push(Correspondence {
                     enu_m: frame.enu_from_geo(ground),

@@ -17,6 +17,9 @@ mod text;
 mod vendor_xml;
 mod xml;
 
+pub(crate) use fields::{Dialect, customary};
+pub(crate) use json::SATNERF;
+
 pub use acquisition::Acquisition;
 pub use data_files::{DataFile, DataFiles, data_files};
 pub use domain::{gdal_domain, geotiff_tag};

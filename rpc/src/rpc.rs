@@ -14,6 +14,17 @@ pub struct GeoPoint {
     pub height_m: f64,
 }
 
+impl GeoPoint {
+    /// A point from longitude and latitude, degrees, and height, metres.
+    pub const fn new(lon_deg: f64, lat_deg: f64, height_m: f64) -> Self {
+        Self {
+            lon_deg,
+            lat_deg,
+            height_m,
+        }
+    }
+}
+
 /// A point in an image, in pixels; the centre of the upper-left pixel is (0, 0).
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ImagePoint {
@@ -21,6 +32,13 @@ pub struct ImagePoint {
     pub col: f64,
     /// Row, downwards.
     pub row: f64,
+}
+
+impl ImagePoint {
+    /// A point from its column and row.
+    pub const fn new(col: f64, row: f64) -> Self {
+        Self { col, row }
+    }
 }
 
 /// Errors of a rational camera.
@@ -98,10 +116,10 @@ impl Rpc {
         let m = monomials(self.normalised(point));
         let row = value(&self.line_numerator, &m) / value(&self.line_denominator, &m);
         let col = value(&self.sample_numerator, &m) / value(&self.sample_denominator, &m);
-        ImagePoint {
-            col: col * self.sample_scale + self.sample_offset,
-            row: row * self.line_scale + self.line_offset,
-        }
+        ImagePoint::new(
+            col * self.sample_scale + self.sample_offset,
+            row * self.line_scale + self.line_offset,
+        )
     }
 
     /// Image position and its Jacobian `d(col, row) / d(lon_deg, lat_deg, height_m)`, pixels per degree and per metre.
@@ -119,10 +137,10 @@ impl Rpc {
         };
         let (row, row_slope) = rational(&self.line_numerator, &self.line_denominator, self.line_scale);
         let (col, col_slope) = rational(&self.sample_numerator, &self.sample_denominator, self.sample_scale);
-        let image = ImagePoint {
-            col: col * self.sample_scale + self.sample_offset,
-            row: row * self.line_scale + self.line_offset,
-        };
+        let image = ImagePoint::new(
+            col * self.sample_scale + self.sample_offset,
+            row * self.line_scale + self.line_offset,
+        );
         let jacobian = Matrix2x3::new(
             col_slope[0],
             col_slope[1],

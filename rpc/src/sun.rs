@@ -61,6 +61,14 @@ impl SunPosition {
         }
     }
 
+    /// Azimuth, 0 to 360, and elevation, degrees.
+    pub fn degrees(&self) -> [f64; 2] {
+        [
+            self.azimuth_rad.to_degrees().rem_euclid(360.0),
+            self.elevation_rad.to_degrees(),
+        ]
+    }
+
     /// Unit vector toward the sun, east-north-up.
     pub fn direction_enu(&self) -> Vector3<f64> {
         let (sin_a, cos_a) = self.azimuth_rad.sin_cos();

@@ -32,11 +32,7 @@ impl Numbers {
 }
 
 fn frame() -> LocalFrame {
-    LocalFrame::new(GeoPoint {
-        lon_deg: 36.9,
-        lat_deg: 37.5,
-        height_m: 100.0,
-    })
+    LocalFrame::new(GeoPoint::new(36.9, 37.5, 100.0))
 }
 
 /// True cameras of one place from different sides.
@@ -172,9 +168,8 @@ fn corrections_that_creep_within_their_noise_have_converged() {
     for seed in 0..40 {
         let mut numbers = Numbers(seed);
         let delivered = biased(&cameras, &biases(4, &mut numbers));
-        let tracks = tracks(&cameras, 12, &mut |at| ImagePoint {
-            col: at.col + 0.3 * numbers.normal(),
-            row: at.row + 0.3 * numbers.normal(),
+        let tracks = tracks(&cameras, 12, &mut |at| {
+            ImagePoint::new(at.col + 0.3 * numbers.normal(), at.row + 0.3 * numbers.normal())
         });
         let after = |most_rounds: usize| {
             let options = AdjustOptions {
@@ -212,10 +207,10 @@ fn noise_averages_out_and_outliers_have_no_say() {
     let mut seen = |at: ImagePoint| {
         let wrong = numbers.next() > 0.5;
         let off = if wrong { [3.0 + numbers.next(), 2.0] } else { [0.0; 2] };
-        ImagePoint {
-            col: at.col + 0.15 * numbers.normal() + off[0],
-            row: at.row + 0.15 * numbers.normal() + off[1],
-        }
+        ImagePoint::new(
+            at.col + 0.15 * numbers.normal() + off[0],
+            at.row + 0.15 * numbers.normal() + off[1],
+        )
     };
     let tracks = tracks(&cameras, 500, &mut seen);
     let found = adjusted(&delivered, &tracks, BiasModel::Translation);

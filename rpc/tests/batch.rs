@@ -11,10 +11,12 @@ const LOCALISATION_BAR_PX: f64 = 1e-8;
 fn ground(count: usize) -> Vec<GeoPoint> {
     let fraction = |i: usize, step: f64| (i as f64 * step).fract();
     (0..count)
-        .map(|i| GeoPoint {
-            lon_deg: 36.86 + 0.1 * fraction(i, 0.618_033_988_7),
-            lat_deg: 37.54 + 0.08 * fraction(i, 0.754_877_666_2),
-            height_m: 300.0 + 900.0 * fraction(i, 0.569_840_290_9),
+        .map(|i| {
+            GeoPoint::new(
+                36.86 + 0.1 * fraction(i, 0.618_033_988_7),
+                37.54 + 0.08 * fraction(i, 0.754_877_666_2),
+                300.0 + 900.0 * fraction(i, 0.569_840_290_9),
+            )
         })
         .collect()
 }

@@ -124,10 +124,7 @@ fn noise_in_the_samples_is_smoothed_and_not_followed() {
         .map(|(i, (ground, image))| {
             (
                 *ground,
-                ImagePoint {
-                    col: image.col + noise(i, 12.9898),
-                    row: image.row + noise(i, 78.233),
-                },
+                ImagePoint::new(image.col + noise(i, 12.9898), image.row + noise(i, 78.233)),
             )
         })
         .collect();

@@ -20,10 +20,7 @@ fn assert_same(name: &str, found: &Rpc, expected: &Rpc) {
 fn camera(folder: &Path, name: &str) -> Rpc {
     let rpc = read::rpc_from_text(name, &read_text(&folder.join(name))).unwrap_or_else(|e| panic!("{name}: {e}"));
     // Every text is read as a valid camera: its own centre goes to the ground and back.
-    let centre = ImagePoint {
-        col: rpc.sample_offset,
-        row: rpc.line_offset,
-    };
+    let centre = ImagePoint::new(rpc.sample_offset, rpc.line_offset);
     let ground = rpc
         .localise(centre, rpc.height_offset_m)
         .unwrap_or_else(|e| panic!("{name}: {e}"));
@@ -110,13 +107,7 @@ fn an_orbview_pvl_is_the_camera_of_its_text_file() {
     let folder = shared.join("data/formats/gdal");
     let (pvl, txt) = (camera(&folder, "md_ov.pvl"), camera(&folder, "md_ov_rpc.txt"));
     let ground = txt
-        .localise(
-            ImagePoint {
-                col: 3_000.0,
-                row: 9_000.0,
-            },
-            150.0,
-        )
+        .localise(ImagePoint::new(3_000.0, 9_000.0), 150.0)
         .expect("localises");
     assert!(common::distance_px(pvl.project(ground), txt.project(ground)) < 0.01);
 }
@@ -213,11 +204,7 @@ fn stated_suns_agree_with_computed_ones_to_the_vendors_error() {
             let text = read_text(&path);
             let found = acquisition::satnerf_json(&text);
             let rpc = read::satnerf_json(&text).expect("the camera reads");
-            let at = GeoPoint {
-                lon_deg: rpc.longitude_offset_deg,
-                lat_deg: rpc.latitude_offset_deg,
-                height_m: 0.0,
-            };
+            let at = GeoPoint::new(rpc.longitude_offset_deg, rpc.latitude_offset_deg, 0.0);
             let apart_deg = found.sun_disagreement_deg(at).expect("both are there");
             // These angles are computed ones of the crop, the camera's centre is up to 10 km away.
             assert!(apart_deg < 0.15, "{}: {apart_deg}", path.display());
@@ -228,11 +215,7 @@ fn stated_suns_agree_with_computed_ones_to_the_vendors_error() {
     let cameras = common::read_json(&shared.join("data/cameras/mvs3dm_worldview3_40.json"));
     for (name, value) in cameras.as_object().expect("object") {
         let found = acquisition::satnerf_json(&value.to_string());
-        let at = GeoPoint {
-            lon_deg: -58.5757,
-            lat_deg: -34.4466,
-            height_m: 20.0,
-        };
+        let at = GeoPoint::new(-58.5757, -34.4466, 20.0);
         let apart_deg = found
             .sun_disagreement_deg(at)
             .unwrap_or_else(|| panic!("{name}: {found:?}"));

@@ -8,11 +8,7 @@ use proptest::prelude::*;
 const MICROMETRE: f64 = 1e-6;
 
 fn geo(lon_deg: f64, lat_deg: f64, height_m: f64) -> GeoPoint {
-    GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m,
-    }
+    GeoPoint::new(lon_deg, lat_deg, height_m)
 }
 
 #[test]

@@ -24,11 +24,7 @@ fn every_golden_sun_is_within_a_hundredth_of_a_degree() {
     for case in rows {
         let number = |key: &str| case[key].as_f64().expect(key);
         let time: jiff::Timestamp = case["utc"].as_str().expect("utc").parse().expect("RFC 3339");
-        let at = GeoPoint {
-            lon_deg: number("lon"),
-            lat_deg: number("lat"),
-            height_m: number("alt_m"),
-        };
+        let at = GeoPoint::new(number("lon"), number("lat"), number("alt_m"));
         let sun = sun_position(time, at);
         let error_deg = angle_deg(sun.direction_enu(), Vector3::from(row::<3>(&case["sun_enu"])));
         assert!(error_deg < BAR_DEG, "{case}: {error_deg} degree off");

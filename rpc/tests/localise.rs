@@ -31,11 +31,11 @@ fn numeric_jacobian(rpc: &Rpc, at: GeoPoint) -> [[f64; 3]; 2] {
     let moved = |axis: usize, sign: f64| {
         let mut offsets = [0.0; 3];
         offsets[axis] = sign * steps[axis];
-        rpc.project(GeoPoint {
-            lon_deg: at.lon_deg + offsets[0],
-            lat_deg: at.lat_deg + offsets[1],
-            height_m: at.height_m + offsets[2],
-        })
+        rpc.project(GeoPoint::new(
+            at.lon_deg + offsets[0],
+            at.lat_deg + offsets[1],
+            at.height_m + offsets[2],
+        ))
     };
     let column = |axis: usize| {
         let (high, low) = (moved(axis, 1.0), moved(axis, -1.0));
@@ -83,11 +83,7 @@ fn the_jacobian_of_every_golden_camera_is_that_of_central_differences() {
 #[test]
 fn longitudes_on_both_sides_of_the_date_line_are_one_place() {
     let rpc = &CAMERAS[1];
-    let place = GeoPoint {
-        lon_deg: -179.999,
-        lat_deg: -17.0,
-        height_m: 50.0,
-    };
+    let place = GeoPoint::new(-179.999, -17.0, 50.0);
     let same = GeoPoint {
         lon_deg: 180.001,
         ..place
@@ -116,15 +112,7 @@ fn longitudes_on_both_sides_of_the_date_line_are_one_place() {
 fn a_crop_sees_the_same_ground() {
     let rpc = &CAMERAS[0];
     let crop = rpc.cropped(1_000.0, 500.0);
-    let whole = rpc
-        .localise(
-            ImagePoint {
-                col: 1_100.0,
-                row: 700.0,
-            },
-            30.0,
-        )
-        .expect("localises");
+    let whole = rpc.localise(ImagePoint::new(1_100.0, 700.0), 30.0).expect("localises");
     let cropped = crop
         .localise(ImagePoint { col: 100.0, row: 200.0 }, 30.0)
         .expect("localises");
@@ -250,10 +238,7 @@ fn a_model_that_bends_far_more_over_its_image_than_it_slopes_is_refused_when_loc
     };
     // The cubic term of the longitude.
     inconsistent.sample_numerator[11] += 0.02;
-    let image = ImagePoint {
-        col: rpc.sample_offset + rpc.sample_scale,
-        row: rpc.line_offset,
-    };
+    let image = ImagePoint::new(rpc.sample_offset + rpc.sample_scale, rpc.line_offset);
     match inconsistent.localise(image, 100.0) {
         Err(RpcError::Inconsistent { span }) => assert!((5.0..20.0).contains(&span), "{span}"),
         other => panic!("{other:?}"),
@@ -279,11 +264,7 @@ proptest! {
         camera in 0..5_usize, l in -1.0..1.0, p in -1.0..1.0, h in -1.0..1.0,
     ) {
         let rpc = &CAMERAS[camera];
-        let at = GeoPoint {
-            lon_deg: rpc.longitude_offset_deg + l * rpc.longitude_scale_deg,
-            lat_deg: rpc.latitude_offset_deg + p * rpc.latitude_scale_deg,
-            height_m: rpc.height_offset_m + h * rpc.height_scale_m,
-        };
+        let at = GeoPoint::new(rpc.longitude_offset_deg + l * rpc.longitude_scale_deg, rpc.latitude_offset_deg + p * rpc.latitude_scale_deg, rpc.height_offset_m + h * rpc.height_scale_m);
         prop_assert!(jacobian_error(rpc, at) < 1e-6);
     }
 

@@ -8,10 +8,10 @@ use heliosplat_rpc::fit::fit_rpc;
 use heliosplat_rpc::{GeoPoint, ImagePoint, ImageWindow, LocalFrame, PinholeFit, Rpc, RpcError, read};
 
 fn frame_at(rpc: &Rpc, window: ImageWindow, height_m: f64) -> LocalFrame {
-    let centre = ImagePoint {
-        col: window.col0 + 0.5 * window.width as f64,
-        row: window.row0 + 0.5 * window.height as f64,
-    };
+    let centre = ImagePoint::new(
+        window.col0 + 0.5 * window.width as f64,
+        window.row0 + 0.5 * window.height as f64,
+    );
     LocalFrame::new(rpc.localise(centre, height_m).expect("the window's centre localises"))
 }
 
@@ -114,13 +114,7 @@ fn a_window_counts_from_its_own_corner() {
     )
     .expect("fits");
     let ground = rpc
-        .localise(
-            ImagePoint {
-                col: 9_100.0,
-                row: 12_050.0,
-            },
-            500.0,
-        )
+        .localise(ImagePoint::new(9_100.0, 12_050.0), 500.0)
         .expect("localises");
     for map in [fit.map, crop.map] {
         let [col, row] = map.project(frame.enu_from_geo(ground));
@@ -132,11 +126,7 @@ fn a_window_counts_from_its_own_corner() {
 fn requests_that_make_no_sense_are_errors() {
     let Some(shared) = shared() else { return };
     let rpc = golden_camera(&common::golden(&shared, "phr1b_ventoux"));
-    let frame = LocalFrame::new(GeoPoint {
-        lon_deg: 5.2,
-        lat_deg: 44.2,
-        height_m: 500.0,
-    });
+    let frame = LocalFrame::new(GeoPoint::new(5.2, 44.2, 500.0));
     let window = ImageWindow {
         col0: 0.0,
         row0: 0.0,
@@ -187,10 +177,7 @@ fn a_push_broom_is_a_pinhole_over_a_small_window_anywhere_on_earth() {
         );
         assert!(fit.rms_px <= fit.max_px && fit.max_px < 0.02);
         // Against the sensor itself, with no RPC between.
-        let image = ImagePoint {
-            col: 1_834.5,
-            row: 2_215.25,
-        };
+        let image = ImagePoint::new(1_834.5, 2_215.25);
         let [col, row] = fit.map.project(frame.enu_from_geo(sensor.ground(image, 163.0)));
         assert!((col - 134.5).hypot(row - 315.25) < fit.max_px + 1e-6, "{col}, {row}");
     }

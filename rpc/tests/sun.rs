@@ -5,11 +5,7 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 
 fn at(lon_deg: f64, lat_deg: f64) -> GeoPoint {
-    GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m: 0.0,
-    }
+    GeoPoint::new(lon_deg, lat_deg, 0.0)
 }
 
 fn time(text: &str) -> jiff::Timestamp {
@@ -19,11 +15,7 @@ fn time(text: &str) -> jiff::Timestamp {
 #[test]
 fn the_worked_example_of_the_nrel_report_is_reproduced() {
     // NREL/TP-560-34302, table A5.1; its zenith of 50.11162 includes refraction of 0.01633 degree.
-    let place = GeoPoint {
-        lon_deg: -105.1786,
-        lat_deg: 39.742_476,
-        height_m: 1_830.14,
-    };
+    let place = GeoPoint::new(-105.1786, 39.742_476, 1_830.14);
     let sun = sun_position(time("2003-10-17T19:30:30Z"), place);
     let expected = SunPosition::from_degrees(194.340_24, 90.0 - 50.111_62 - 0.016_33);
     let apart_deg = sun.direction_enu().angle(&expected.direction_enu()).to_degrees();

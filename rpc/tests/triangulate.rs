@@ -55,13 +55,7 @@ fn residuals_are_the_least_near_the_point_found() {
         .map(|(i, (_, rpc))| {
             let seen = rpc.project(truth);
             let noise = |k: f64| ((i as f64 + 1.0) * k).sin();
-            (
-                rpc,
-                ImagePoint {
-                    col: seen.col + noise(12.9),
-                    row: seen.row + noise(78.2),
-                },
-            )
+            (rpc, ImagePoint::new(seen.col + noise(12.9), seen.row + noise(78.2)))
         })
         .collect();
     let found = triangulate(&views).expect("triangulates");
@@ -100,11 +94,7 @@ fn the_published_track_of_three_views_is_found_with_no_larger_residual() {
         .collect();
     let found = triangulate(&views).expect("triangulates");
     let [lat_deg, lon_deg, height_m] = row(&example["expected_lat_lon_alt"]);
-    let published = GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m,
-    };
+    let published = GeoPoint::new(lon_deg, lat_deg, height_m);
     let squared: f64 = views
         .iter()
         .map(|(rpc, seen)| distance_px(rpc.project(published), *seen).powi(2))
@@ -127,11 +117,7 @@ fn a_point_across_the_date_line_is_found() {
     let mut east = PushBroom::over(179.995, -16.0);
     east.roll_rad = -0.2;
     let [west, east] = [west, east].map(|sensor| fit_rpc(&sensor.samples(12, &[0.0, 200.0, 400.0])).expect("fits").rpc);
-    let truth = GeoPoint {
-        lon_deg: -179.999,
-        lat_deg: -16.001,
-        height_m: 123.0,
-    };
+    let truth = GeoPoint::new(-179.999, -16.001, 123.0);
     let found = triangulate(&[(&west, west.project(truth)), (&east, east.project(truth))]).expect("triangulates");
     assert!(
         LocalFrame::new(truth).enu_from_geo(found.point).norm() < 1e-5,
@@ -144,18 +130,12 @@ fn views_that_cannot_fix_a_point_are_errors() {
     let rpc = fit_rpc(&PushBroom::over(5.2, 44.2).samples(12, &[0.0, 200.0, 400.0]))
         .expect("fits")
         .rpc;
-    let seen = ImagePoint {
-        col: 1_000.0,
-        row: 1_200.0,
-    };
+    let seen = ImagePoint::new(1_000.0, 1_200.0);
     assert!(matches!(triangulate(&[]), Err(RpcError::Invalid(_))));
     assert!(matches!(triangulate(&[(&rpc, seen)]), Err(RpcError::Invalid(_))));
     let error = triangulate(&[(&rpc, seen), (&rpc, seen)]).expect_err("one view twice has no height");
     assert!(error.to_string().contains("parallel"), "{error}");
-    let nan = ImagePoint {
-        col: f64::NAN,
-        row: 0.0,
-    };
+    let nan = ImagePoint::new(f64::NAN, 0.0);
     assert!(triangulate(&[(&rpc, nan), (&rpc, seen)]).is_err());
     assert!(triangulate(&[(&rpc, seen), (&rpc, nan)]).is_err());
 }

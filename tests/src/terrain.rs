@@ -318,11 +318,7 @@ impl TerrainRequest {
             .collect();
         // The order of the dates is not that of the directions, or shadows would move as the ground does.
         let first_date = rng.random_range(0..5);
-        let place = GeoPoint {
-            lon_deg: PLACE[0],
-            lat_deg: PLACE[1],
-            height_m: GROUND_M,
-        };
+        let place = GeoPoint::new(PLACE[0], PLACE[1], GROUND_M);
         let mut images = Vec::new();
         for (view, tilt) in tilts.iter().enumerate() {
             let shown = if view < views / 2 { other } else { terrain };

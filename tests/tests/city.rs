@@ -238,11 +238,7 @@ fn a_canvas_changes_no_surface_and_stores_only_the_image() {
         let place = ["lon_deg", "lat_deg", "height_m"].map(|key| origin[key].as_f64().expect("a number"));
         let in_file = |camera: heliosplat_rpc::Rpc| {
             let [lon_deg, lat_deg, height_m] = place;
-            camera.project(heliosplat_rpc::GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m,
-            })
+            camera.project(heliosplat_rpc::GeoPoint::new(lon_deg, lat_deg, height_m))
         };
         for preference in [RpcPreference::Json, RpcPreference::Tag] {
             let at = in_file(camera_of(&file, preference).expect("a camera"));

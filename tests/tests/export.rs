@@ -114,11 +114,7 @@ fn all_that_a_run_is_exported_as_lies_in_one_frame_that_stands_where_the_site_is
     let number = |value: &Value| value.as_f64().expect("a number");
     let origin = &model["origin"];
     let [lon_deg, lat_deg, height_m] = ["lon_deg", "lat_deg", "height_m"].map(|key| number(&origin[key]));
-    let frame = LocalFrame::new(GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m,
-    });
+    let frame = LocalFrame::new(GeoPoint::new(lon_deg, lat_deg, height_m));
     let tileset = read_json(&folder.join("tileset.json"));
     let transform: Vec<f64> = tileset["root"]["transform"]
         .as_array()

@@ -305,11 +305,7 @@ fn the_sun_of_the_page_is_the_sun() {
         return;
     };
     for ((time, lat_deg, lon_deg), said) in cases.iter().zip(answer.as_array().expect("suns")) {
-        let place = GeoPoint {
-            lon_deg: *lon_deg,
-            lat_deg: *lat_deg,
-            height_m: 0.0,
-        };
+        let place = GeoPoint::new(*lon_deg, *lat_deg, 0.0);
         let sun = sun_position(time.parse().expect("a time"), place);
         let number = |k: usize| said[k].as_f64().expect("a number");
         let elevation = sun.elevation_rad.to_degrees();
@@ -433,11 +429,11 @@ fn a_browser_shows_the_page_and_reports_what_node_finds() {
         assert!((share - dark as f64 / known as f64).abs() < 1e-9, "{share}");
     }
     let at_time = report(&page, "#t=2026-06-21T09:00Z&report").expect("Chromium is there");
-    let place = GeoPoint {
-        lon_deg: scene["place"]["lon_deg"].as_f64().expect("a longitude"),
-        lat_deg: scene["place"]["lat_deg"].as_f64().expect("a latitude"),
-        height_m: 650.0,
-    };
+    let place = GeoPoint::new(
+        scene["place"]["lon_deg"].as_f64().expect("a longitude"),
+        scene["place"]["lat_deg"].as_f64().expect("a latitude"),
+        650.0,
+    );
     let sun = sun_position("2026-06-21T09:00:00Z".parse().expect("a time"), place);
     let degrees = |key: &str| at_time["sun"][key].as_f64().expect("an angle");
     assert!((degrees("azimuth_deg") - sun.azimuth_rad.to_degrees()).abs() < 0.05);

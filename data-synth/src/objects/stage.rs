@@ -84,56 +84,60 @@ fn dome(count: usize, phase: f64, lowest: f64, highest: f64) -> Vec<(f64, f64)> 
         .collect()
 }
 
-/// The object: a base plate with a ball, a ring and a block on it.
-fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
-    let matte = |dice: &mut Dice, pattern| PartMaterial {
+/// Material of plate and block: matte, or with the clear coat that is on everything.
+fn plain(look: Look, dice: &mut Dice, pattern: Pattern) -> PartMaterial {
+    let matte = PartMaterial {
         colours: [dice.colour(), dice.colour()],
         pattern,
         gloss: None,
         metal: false,
         medium: None,
     };
-    let coated = |base| PartMaterial {
-        gloss: Some(Gloss {
-            alpha: [0.08; 2],
-            normal_reflectance: Colour::repeat(0.05),
-        }),
-        ..base
-    };
-    // A clear coat is on everything; other looks are those of ball and ring.
-    let plain = |dice: &mut Dice, pattern| match look {
-        Look::Glossy => coated(matte(dice, pattern)),
-        _ => matte(dice, pattern),
-    };
-    let special = |dice: &mut Dice, pattern| {
-        let base = matte(dice, pattern);
-        match look {
-            Look::Matte => base,
-            Look::Glossy => PartMaterial {
-                pattern: Pattern::Spots(0.9),
-                ..coated(base)
-            },
-            Look::Brushed => PartMaterial {
-                colours: [base.colours[0].map(|c| 0.45 + 0.5 * c); 2],
-                pattern: Pattern::Plain,
-                gloss: Some(Gloss {
-                    alpha: [0.4, 0.15],
-                    normal_reflectance: Colour::zeros(),
-                }),
-                metal: true,
-                ..base
-            },
-            Look::Translucent => PartMaterial {
-                pattern: Pattern::Plain,
-                medium: Some(Medium {
-                    extinction: 16.0,
-                    // Light is scattered many times, so a little colour has a large effect.
-                    albedo: base.colours[0].map(|c| 0.9 + 0.09 * c),
-                }),
-                ..base
-            },
-        }
-    };
+    match look {
+        Look::Glossy => PartMaterial {
+            gloss: Some(Gloss {
+                alpha: [0.08; 2],
+                normal_reflectance: Colour::repeat(0.05),
+            }),
+            ..matte
+        },
+        _ => matte,
+    }
+}
+
+/// Material of ball and ring, which have the look of the capture.
+fn special(look: Look, dice: &mut Dice, pattern: Pattern) -> PartMaterial {
+    let base = plain(look, dice, pattern);
+    match look {
+        Look::Matte => base,
+        Look::Glossy => PartMaterial {
+            pattern: Pattern::Spots(0.9),
+            ..base
+        },
+        Look::Brushed => PartMaterial {
+            colours: [base.colours[0].map(|c| 0.45 + 0.5 * c); 2],
+            pattern: Pattern::Plain,
+            gloss: Some(Gloss {
+                alpha: [0.4, 0.15],
+                normal_reflectance: Colour::zeros(),
+            }),
+            metal: true,
+            ..base
+        },
+        Look::Translucent => PartMaterial {
+            pattern: Pattern::Plain,
+            medium: Some(Medium {
+                extinction: 16.0,
+                // Light is scattered many times, so a little colour has a large effect.
+                albedo: base.colours[0].map(|c| 0.9 + 0.09 * c),
+            }),
+            ..base
+        },
+    }
+}
+
+/// The object: a base plate with a ball, a ring and a block on it.
+fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
     let part = |shape, centre, turn: Rotation3<f64>, material| Part {
         solid: Solid {
             shape,
@@ -164,25 +168,25 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
             Shape::Box { half: plate },
             Vector3::new(0.0, 0.0, -0.5),
             still,
-            plain(dice, Pattern::Checks(0.24)),
+            plain(look, dice, Pattern::Checks(0.24)),
         ),
         part(
             Shape::Sphere { radius: ball },
             place(0.0, 0.5, floor + ball),
             spin,
-            special(dice, Pattern::Spots(0.5)),
+            special(look, dice, Pattern::Spots(0.5)),
         ),
         part(
             Shape::Torus { major, minor },
             place(1.0, 0.52, ring_up),
             lean,
-            special(dice, Pattern::Bands(0.2)),
+            special(look, dice, Pattern::Bands(0.2)),
         ),
         part(
             Shape::Box { half: block },
             place(2.0, 0.52, floor + block.z),
             upright,
-            plain(dice, Pattern::Checks(0.13)),
+            plain(look, dice, Pattern::Checks(0.13)),
         ),
     ]
 }

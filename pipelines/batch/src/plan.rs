@@ -14,7 +14,7 @@ use heliosplat_satellite::altitude;
 use heliosplat_satellite::config::{Align, SatelliteConfig};
 use heliosplat_satellite::estimate::sweep_estimate;
 use heliosplat_scene::survey::Survey;
-use heliosplat_scene::{AreaRequest, Hashes, Index, IngestOptions, RpcPreference, Seen, seen};
+use heliosplat_scene::{AreaRequest, Hashes, Index, IngestOptions, Seen, seen};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -101,14 +101,10 @@ pub enum Work {
 pub struct AdjustWork {
     /// Path of the scene.
     pub scene: PathBuf,
+    /// Settings of the scene, without an area.
+    pub ingest: IngestOptions,
     /// Rectangles of ground in which tie points are sought.
     pub patches: Vec<AreaRequest>,
-    /// Stated lowest and highest ellipsoidal altitude, metres.
-    pub altitude_m: Option<[f64; 2]>,
-    /// Lowest and highest altitude from tie points, metres, if none is stated.
-    pub altitude_from_ties_m: Option<(f64, f64)>,
-    /// Preferred camera model of the images.
-    pub rpc: RpcPreference,
     /// Preset of the image matching.
     pub preset: PresetEntry,
 }
@@ -118,15 +114,8 @@ pub struct AdjustWork {
 pub struct TileWork {
     /// Path of the scene.
     pub scene: PathBuf,
-    /// Ground of the tile, with its overlap.
-    pub area: AreaRequest,
-    /// Stated lowest and highest ellipsoidal altitude, metres.
-    pub altitude_m: Option<[f64; 2]>,
-    /// Lowest and highest altitude from tie points of the whole area, metres, if none is stated.
-    #[serde(default)]
-    pub altitude_from_ties_m: Option<(f64, f64)>,
-    /// Preferred camera model of the images.
-    pub rpc: RpcPreference,
+    /// Settings of the scene: ground of the tile with its overlap, and altitudes of the whole area.
+    pub ingest: IngestOptions,
     /// Name of the unit that corrected the pointing of the images; `None` if the tile corrects it.
     pub cameras: Option<String>,
     /// Preset of the training.
@@ -418,7 +407,7 @@ fn units_of(
         let combination = Combination {
             area,
             images,
-            altitude_from_ties_m: options.altitude_from_ties_m,
+            ingest: &options,
             preset,
             inputs: &inputs,
             config: toml::to_string(&config).unwrap_or_default(),
@@ -469,8 +458,8 @@ fn products_of(preset: &PresetEntry, asked: &ProductOptions) -> ProductOptions {
 struct Combination<'a> {
     area: &'a AreaEntry,
     images: &'a ImagesEntry,
-    /// Lowest and highest altitude of the whole area from tie points, metres.
-    altitude_from_ties_m: Option<(f64, f64)>,
+    /// Settings of the scene, for the whole area.
+    ingest: &'a IngestOptions,
     preset: &'a PresetEntry,
     /// Digest of the files of the scene.
     inputs: &'a str,
@@ -492,19 +481,18 @@ impl Combination<'_> {
         let pixels: f64 = estimates.iter().map(|(_, pixels)| pixels).sum();
         let work = AdjustWork {
             scene: self.images.scene.clone(),
+            ingest: IngestOptions {
+                area: None,
+                ..self.ingest.clone()
+            },
             patches,
-            altitude_m: self.area.altitude_m,
-            altitude_from_ties_m: self.altitude_from_ties_m,
-            rpc: self.images.rpc,
             preset: self.preset.clone(),
         };
         let said = format!(
-            "{}adjust\n{:?} {:?} {:?} {:?}\n{}\n{}",
+            "{}adjust\n{:?} {:?}\n{}\n{}",
             identity_of_program(),
             work.patches,
-            work.altitude_m,
-            work.altitude_from_ties_m,
-            work.rpc,
+            work.ingest,
             self.config,
             self.inputs
         );
@@ -533,10 +521,10 @@ impl Combination<'_> {
     fn tile(&self, home: &str, tiling: &Tiling, tile: &tiles::Tile, cameras: Option<&Unit>) -> Unit {
         let work = TileWork {
             scene: self.images.scene.clone(),
-            area: tile.area.clone(),
-            altitude_m: self.area.altitude_m,
-            altitude_from_ties_m: self.altitude_from_ties_m,
-            rpc: self.images.rpc,
+            ingest: IngestOptions {
+                area: Some(tile.area.clone()),
+                ..self.ingest.clone()
+            },
             cameras: cameras.map(|unit| unit.id.clone()),
             preset: self.preset.clone(),
             crs: tiling.crs.clone(),
@@ -550,13 +538,10 @@ impl Combination<'_> {
             },
         };
         let said = format!(
-            "{}tile\n{:?} {} {:?} {:?} {:?} {} {} {:?} {:?}\n{}\n{}",
+            "{}tile\n{:?} {:?} {} {} {:?} {:?}\n{}\n{}",
             identity_of_program(),
             cameras.map(|unit| &unit.key),
-            work.area,
-            work.altitude_m,
-            work.altitude_from_ties_m,
-            work.rpc,
+            work.ingest,
             work.crs,
             work.gsd_m,
             work.products,

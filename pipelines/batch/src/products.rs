@@ -18,8 +18,9 @@ use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::points;
 use heliosplat_products::relit_light::BandLight;
 use heliosplat_products::set::{self, Request, dates, only_sun, times};
+use heliosplat_products::stac::ItemMetadata;
 use heliosplat_products::sunshine::sunshine;
-use heliosplat_products::writer::{ItemMetadata, Writer};
+use heliosplat_products::writer::Writer;
 use heliosplat_raster::{RasterFile, preview};
 use heliosplat_rpc::sun::SunPosition;
 use serde_json::{Value, json};
@@ -106,6 +107,25 @@ impl Models {
         }
         images.into_values().cloned().collect()
     }
+
+    /// Changes the images of the tiles relit under `sun` to the light `to` of all tiles; `albedos` are scaled by
+    /// `gains`.
+    fn share_light(
+        &self,
+        image: &mut Layer,
+        (albedos, gains): (&Layer, &[Vec<f64>]),
+        sun: &SunPosition,
+        to: &[BandLight],
+    ) {
+        let lights: Vec<_> = self.files.iter().map(|file| BandLight::of(file, sun)).collect();
+        image.change(albedos, |tile, band, value, albedo| {
+            let gain = gains[tile].get(band).copied().unwrap_or(1.0);
+            match (lights[tile].as_ref().and_then(|light| light.get(band)), to.get(band)) {
+                (Some(light), Some(to)) => light.moved(to, value, albedo, gain),
+                _ => value,
+            }
+        });
+    }
 }
 
 /// Writes the products of a mosaic into `folder`. Returns their file names, and metrics: number of points, dates and
@@ -150,26 +170,14 @@ pub fn of_mosaic(
     if let Some(sun) = work.products.sun.map(sun_of) {
         let mut image = read(RELIT)?;
         if let Some(to) = &colours.relit {
-            let lights: Vec<_> = models.files.iter().map(|file| BandLight::of(file, &sun)).collect();
-            image.change(&albedos, |tile, band, value, albedo| {
-                let gain = gains[tile].get(band).copied().unwrap_or(1.0);
-                match (lights[tile].as_ref().and_then(|light| light.get(band)), to.get(band)) {
-                    (Some(light), Some(to)) => light.moved(to, value, albedo, gain),
-                    _ => value,
-                }
-            });
+            models.share_light(&mut image, (&albedos, &gains), &sun, to);
         }
         let image = image.merged(pieces, size, gsd_m, Merge::Mean);
         writer.relit(&image, &mask("relit_shadow.tif")?, bands, &sun)?;
         OrthoPreview::new(&image, folder).write("relit", None)?;
     }
     if let Some(days) = &work.products.sun_hours {
-        let period = days.parse().map_err(BatchError::Refused)?;
-        let altitude = &mosaic.around.altitude;
-        let around = grid_of(work.around, work.gsd_m, &work.crs)?;
-        let (nadir, frame) = NadirGrid::of_surface(around, &altitude.values)?;
-        let shone = sunshine(&nadir, altitude, frame.origin, &period);
-        writer.sunshine(&shone.cut(&|raster| mosaic.around.inner(raster, size)), &period)?;
+        hours_of_sun(days, work, mosaic, &mut writer)?;
     }
     let dates = dates(&images);
     for (date, sun) in &dates {
@@ -185,20 +193,18 @@ pub fn of_mosaic(
         .collect();
     let count = points::merge(&folder.join(POINTS), &parts, grid, work.products.geoid)?;
     writer.points(POINTS, count);
-    let globe = match work.products.globe {
-        true => {
-            let look = (colours.reference, work.products.sun.map(sun_of));
-            globe(mosaic, albedo, (&models.runs, &gains), look, folder)?
-        }
-        false => Vec::new(),
-    };
-    for (key, title) in [
-        (SPLATS, "Splats for globes, 3D Tiles"),
-        (SURFACE, "Textured surface for globes, 3D Tiles"),
-    ] {
-        let file = format!("{key}/{TILESET}");
-        if globe.contains(&file) {
-            writer.tiles(key, &file, title);
+    let mut globe_files = Vec::new();
+    if work.products.globe {
+        let look = (colours.reference, work.products.sun.map(sun_of));
+        globe_files = globe(mosaic, albedo, (&models.runs, &gains), look, folder)?;
+        for (key, title) in [
+            (SPLATS, "Splats for globes, 3D Tiles"),
+            (SURFACE, "Textured surface for globes, 3D Tiles"),
+        ] {
+            let file = format!("{key}/{TILESET}");
+            if globe_files.contains(&file) {
+                writer.tiles(key, &file, title);
+            }
         }
     }
     let light = models.runs.first().map(PathBuf::as_path);
@@ -215,12 +221,23 @@ pub fn of_mosaic(
     let names: Vec<&str> = dates.iter().map(|(date, _)| date.as_str()).collect();
     let said = json!({"points": count, "dates": names, "albedo_gains": gains});
     let mut outputs = set.names;
-    for name in globe {
+    for name in globe_files {
         if !outputs.contains(&name) {
             outputs.push(name);
         }
     }
     Ok((outputs, said))
+}
+
+/// Writes the hours of sun of a mosaic over a period, with the shadows of the ground around it.
+fn hours_of_sun(days: &str, work: &MosaicWork, mosaic: &Mosaic, writer: &mut Writer) -> Result<(), BatchError> {
+    let period = days.parse().map_err(BatchError::Refused)?;
+    let altitude = &mosaic.around.altitude;
+    let around = grid_of(work.around, work.gsd_m, &work.crs)?;
+    let (nadir, frame) = NadirGrid::of_surface(around, &altitude.values)?;
+    let shone = sunshine(&nadir, altitude, frame.origin, &period);
+    let size = (mosaic.grid.width, mosaic.grid.height);
+    Ok(writer.sunshine(&shone.cut(&|raster| mosaic.around.inner(raster, size)), &period)?)
 }
 
 /// Look of the 3D Tiles of all blocks, from tiles spread over the area; `None` where no tile has a surface.

@@ -25,7 +25,7 @@ use heliosplat_satellite::run_file::CUT;
 use heliosplat_satellite::shared_cameras::{SharedCameras, shared_cameras};
 use heliosplat_satellite::training::train;
 use heliosplat_satellite::{measure, preprocess};
-use heliosplat_scene::{Cut, Index, IngestOptions, Scene, SceneError};
+use heliosplat_scene::{Cut, Index, Scene, SceneError};
 use heliosplat_session::Session;
 use serde_json::json;
 use std::path::Path;
@@ -35,6 +35,17 @@ use std::time::{Duration, Instant};
 const BEGUN: &str = "begun.txt";
 /// Name of the file with the camera corrections that all tiles share.
 const CAMERAS: &str = "cameras.json";
+/// Metrics of a training that are metrics of its tile.
+const OF_TRAINING: [&str; 8] = [
+    "seconds",
+    "iterations",
+    "gaussians",
+    "peak_rss_bytes",
+    "dsm",
+    "train",
+    "test",
+    "shadow",
+];
 /// Name of the report page.
 const REPORT: &str = report::FILE;
 /// Name of the page with the movable sun.
@@ -129,14 +140,8 @@ fn tile(
     session: &Session,
 ) -> Result<Done, BatchError> {
     let run = folder.join(RUN);
-    let ingest = IngestOptions {
-        altitude_range_m: work.altitude_m.map(|[low, high]| (low, high)),
-        altitude_from_ties_m: work.altitude_from_ties_m,
-        rpc: work.rpc,
-        area: Some(work.area.clone()),
-    };
     let begun = Instant::now();
-    let scene = match scene_of(work, &ingest) {
+    let scene = match scene_of(work) {
         Err(SceneError::NotCovered(..)) => {
             tracing::warn!(
                 "{}: fewer than two images have pixels here, so that it has no surface",
@@ -151,14 +156,7 @@ fn tile(
     }
     let (preset, mut config) = (work.preset.parsed()?, work.preset.config()?);
     if let Some(unit) = &work.cameras {
-        let path = out.join(unit).join(CAMERAS);
-        let failed = |reason: &dyn std::fmt::Display| BatchError::Failed(format!("{}: {reason}", path.display()));
-        let text = read_text(&path).map_err(|error| failed(&error))?;
-        let cameras: SharedCameras = serde_json::from_str(&text).map_err(|error| failed(&error))?;
-        // With alignment on and no shifts, the tile would correct its pointing itself.
-        config.cameras.align = Align::Off;
-        config.cameras.shifts_px = cameras.shifts_px;
-        config.cameras.left_out = cameras.left_out;
+        share_cameras(&mut config, &out.join(unit).join(CAMERAS))?;
     }
     if work.preset.is_sweep() {
         return swept(&scene, work, &config, folder, session);
@@ -169,7 +167,7 @@ fn tile(
         checkpoint_every,
         ..TrainRequest::new(run.clone(), preset)
     };
-    let trained = match train(&scene, &ingest, &config, &request, session)? {
+    let trained = match train(&scene, &work.ingest, &config, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&run)?;
             metrics
@@ -189,16 +187,7 @@ fn tile(
     } else {
         products::of_tile(&model, unit, folder, (work.gsd_m, &work.crs), work.products.sun)?
     };
-    for key in [
-        "seconds",
-        "iterations",
-        "gaussians",
-        "peak_rss_bytes",
-        "dsm",
-        "train",
-        "test",
-        "shadow",
-    ] {
+    for key in OF_TRAINING {
         if let Some(value) = trained.get(key) {
             metrics[key] = value.clone();
         }
@@ -210,16 +199,22 @@ fn tile(
     Ok((outputs, metrics))
 }
 
+/// Sets the corrections of the cameras that all tiles share, read from `path`.
+fn share_cameras(config: &mut SatelliteConfig, path: &Path) -> Result<(), BatchError> {
+    let failed = |reason: &dyn std::fmt::Display| BatchError::Failed(format!("{}: {reason}", path.display()));
+    let text = read_text(path).map_err(|error| failed(&error))?;
+    let cameras: SharedCameras = serde_json::from_str(&text).map_err(|error| failed(&error))?;
+    // With alignment on and no shifts, the tile would correct its pointing itself.
+    config.cameras.align = Align::Off;
+    config.cameras.shifts_px = cameras.shifts_px;
+    config.cameras.left_out = cameras.left_out;
+    Ok(())
+}
+
 /// Corrects the pointing of each image, once for all tiles.
 fn adjust(work: &AdjustWork, folder: &Path, session: &Session) -> Result<Done, BatchError> {
-    let options = IngestOptions {
-        altitude_range_m: work.altitude_m.map(|[low, high]| (low, high)),
-        altitude_from_ties_m: work.altitude_from_ties_m,
-        rpc: work.rpc,
-        area: None,
-    };
-    let index = Index::open(&work.scene, work.rpc)?;
-    let cameras = shared_cameras(&index, &options, &work.patches, &work.preset.config()?, session)?;
+    let index = Index::open(&work.scene, work.ingest.rpc)?;
+    let cameras = shared_cameras(&index, &work.ingest, &work.patches, &work.preset.config()?, session)?;
     let metrics = serde_json::to_value(&cameras).unwrap_or_default();
     write_atomically(&folder.join(CAMERAS), format!("{metrics:#}\n").as_bytes())?;
     Ok((vec![CAMERAS.into()], metrics))
@@ -237,10 +232,10 @@ fn colours(work: &ColoursWork, out: &Path, folder: &Path) -> Result<Done, BatchE
 }
 
 /// Scene of a tile; images without pixels in it are left out.
-fn scene_of(work: &TileWork, ingest: &IngestOptions) -> Result<Scene, SceneError> {
-    let index = Index::open(&work.scene, work.rpc)?;
+fn scene_of(work: &TileWork) -> Result<Scene, SceneError> {
+    let index = Index::open(&work.scene, work.ingest.rpc)?;
     let mut warnings = Vec::new();
-    let mut cut = Cut::of(&index, ingest, &mut warnings)?;
+    let mut cut = Cut::of(&index, &work.ingest, &mut warnings)?;
     cut.is_part = true;
     Scene::read(&index, &cut, warnings)
 }

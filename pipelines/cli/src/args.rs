@@ -1,12 +1,11 @@
 //! Arguments that several verbs share.
 
-use crate::names::{GeoidName, RpcName};
 use crate::outcome::CliError;
 use crate::parse;
 use clap::Args;
 use heliosplat_raster::temporary::TemporaryFolder;
 use heliosplat_raster::{Crs, Geoid, RasterError, is_virtual, write_atomically};
-use heliosplat_scene::{AreaRequest, IngestOptions};
+use heliosplat_scene::{AreaRequest, IngestOptions, RpcPreference};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -24,7 +23,7 @@ pub struct IngestArgs {
     pub area: Option<AreaRequest>,
     /// Preferred source of an image's camera
     #[arg(long, help_heading = SCENE, value_name = "SOURCE", default_value = "json")]
-    pub rpc: RpcName,
+    pub rpc: RpcPreference,
 }
 
 impl IngestArgs {
@@ -33,7 +32,7 @@ impl IngestArgs {
         IngestOptions {
             altitude_range_m: self.altitude.map(|[low, high]| (low, high)),
             altitude_from_ties_m: None,
-            rpc: self.rpc.into(),
+            rpc: self.rpc,
             area: self.area.clone(),
         }
     }
@@ -77,15 +76,10 @@ pub fn scene_of(named: &[PathBuf], folder: &Path) -> Result<PathBuf, CliError> {
 ///
 /// # Errors
 /// When the system cannot be used, or the two options name different geoids.
-pub fn map_of(
-    verb: &str,
-    crs: Option<&str>,
-    geoid: Option<GeoidName>,
-) -> Result<(Option<Crs>, Option<Geoid>), CliError> {
+pub fn map_of(verb: &str, crs: Option<&str>, geoid: Option<Geoid>) -> Result<(Option<Crs>, Option<Geoid>), CliError> {
     let target = crs.map(Geoid::of_definition).transpose()?;
     let (crs, stated) = target.map_or((None, None), |(crs, geoid)| (Some(crs), geoid));
-    let asked = geoid.map(Geoid::from);
-    if let (Some(stated), Some(asked)) = (stated, asked)
+    if let (Some(stated), Some(asked)) = (stated, geoid)
         && stated != asked
     {
         return Err(CliError::Input(format!(
@@ -94,7 +88,7 @@ pub fn map_of(
             asked.name()
         )));
     }
-    Ok((crs, asked.or(stated)))
+    Ok((crs, geoid.or(stated)))
 }
 
 /// Scene in arguments, while it is read. The list of several images lies in a temporary folder, deleted on drop.

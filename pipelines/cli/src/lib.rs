@@ -4,7 +4,6 @@
 
 pub mod args;
 pub mod command_line;
-pub mod names;
 pub mod outcome;
 pub mod outputs;
 pub mod parse;

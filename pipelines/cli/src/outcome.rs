@@ -48,6 +48,14 @@ impl CliError {
         }
     }
 
+    /// Refuses options of `verb` if they are given; `why` states the reason and the remedy.
+    pub(crate) fn refuse(verb: &str, options: &[(bool, &str)], why: &str) -> Result<(), Self> {
+        match options.iter().find(|(given, _)| *given) {
+            Some((_, name)) => Err(Self::Input(format!("{verb} --{name}: {why}"))),
+            None => Ok(()),
+        }
+    }
+
     fn sorted(is_input_fault: bool, message: String) -> Self {
         if is_input_fault {
             Self::Input(message)

@@ -166,11 +166,7 @@ fn map_projected(draft: &Draft, _: RpcPreference) -> Option<Found> {
     let places: Vec<_> = (0..PLACES * PLACES).map(place).collect::<Option<_>>()?;
     let apart_px = |height_m: f64| {
         let off = places.iter().map(|&([col, row], (lon_deg, lat_deg))| {
-            let seen = draft.rpc.project(GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m,
-            });
+            let seen = draft.rpc.project(GeoPoint::new(lon_deg, lat_deg, height_m));
             (seen.col - col).hypot(seen.row - row)
         });
         off.fold(

@@ -2,6 +2,7 @@
 
 use super::Split;
 use super::manifest::ManifestImage;
+use super::names::stem;
 use super::tiles::ImageFiles;
 use std::path::PathBuf;
 
@@ -22,4 +23,19 @@ pub(super) struct ImageEntry {
     pub(super) tiles: ImageFiles,
     /// The multispectral image of the same acquisition, matched by name.
     pub(super) multispectral: Option<ImageFiles>,
+}
+
+impl ImageEntry {
+    /// Training image in `files`, named by its file stem, without further information.
+    pub(super) fn of(files: ImageFiles) -> Self {
+        Self {
+            name: stem(&files.path),
+            path: files.path.clone(),
+            split: Split::Train,
+            json: None,
+            said: None,
+            tiles: files,
+            multispectral: None,
+        }
+    }
 }

@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// The files of a scene.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Layout {
     /// Images, in the order of the folder or the manifest.
     pub(super) images: Vec<ImageEntry>,
@@ -70,31 +70,18 @@ pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError>
 /// Layout of a folder on one of GDAL's virtual file systems: its images, with the cameras and dates that GDAL finds
 /// there.
 fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
-    let entry = |path: PathBuf| ImageEntry {
-        name: stem(&path),
-        split: Split::Train,
-        json: None,
-        said: None,
-        tiles: ImageFiles::one(path.clone()),
-        multispectral: None,
-        path,
-    };
     let files = list_virtual(folder)?;
     let images: Vec<ImageEntry> = files
         .into_iter()
         .filter(|path| has_extension(path, &IMAGE_EXTENSIONS))
-        .map(entry)
+        .map(|path| ImageEntry::of(ImageFiles::one(path)))
         .collect();
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
     }
     Ok(Layout {
         images: with_distinct_names(images),
-        altitude_range_m: None,
-        bands: None,
-        counts: None,
-        truth: Truth::default(),
-        warnings: Vec::new(),
+        ..Layout::default()
     })
 }
 
@@ -104,13 +91,10 @@ fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
         .images
         .iter()
         .map(|image| ImageEntry {
-            name: stem(&image.path),
-            path: image.path.clone(),
             split: image.split.unwrap_or(Split::Train),
             json: satnerf::json_of(&image.path, folders),
             said: Some(image.clone()),
-            tiles: ImageFiles::one(image.path.clone()),
-            multispectral: None,
+            ..ImageEntry::of(ImageFiles::one(image.path.clone()))
         })
         .collect();
     let home = path.parent().unwrap_or_else(|| Path::new("."));
@@ -136,10 +120,7 @@ fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
 
 fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     let mut warnings = Vec::new();
-    let Home {
-        folder: home,
-        delivered,
-    } = scene_folder(folder, folders, &mut warnings)?;
+    let (home, delivered) = scene_folder(folder, folders, &mut warnings)?;
     let mut images = match delivered {
         Some(images) => images,
         None => folders.images(&home)?,
@@ -181,13 +162,10 @@ fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
                 ));
             }
             Some(ImageEntry {
-                name: stem(&path),
                 split: split?,
                 multispectral: partners.remove(&path),
-                tiles: files,
-                path,
                 json,
-                said: None,
+                ..ImageEntry::of(files)
             })
         })
         .collect();
@@ -195,10 +173,8 @@ fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     Ok(Layout {
         truth: truth::find_for(&home, &names, folders, &mut warnings),
         images: with_distinct_names(entries),
-        altitude_range_m: None,
-        bands: None,
-        counts: None,
         warnings,
+        ..Layout::default()
     })
 }
 
@@ -326,21 +302,21 @@ fn best_cameras(top: &Path, mut candidates: Vec<CameraFolder>) -> Vec<(PathBuf, 
 }
 
 /// The folder of the scene: `folder` itself, or the only scene below it; of several kinds of cameras for one scene, the
-/// best.
-fn scene_folder(folder: &Path, folders: &Folders, warnings: &mut Vec<String>) -> Result<Home, SceneError> {
-    let by_itself = |folder: PathBuf| Home {
-        folder,
-        delivered: None,
-    };
+/// best. With images where these lie in subfolders with one image each, as vendors deliver them.
+fn scene_folder(
+    folder: &Path,
+    folders: &Folders,
+    warnings: &mut Vec<String>,
+) -> Result<(PathBuf, Option<Vec<PathBuf>>), SceneError> {
     let looks_like_scene = |folder: &Path| -> Result<bool, SceneError> {
         Ok(!folders.images(folder)?.is_empty() || !JsonIndex::read(folder, folders)?.is_empty())
     };
     if looks_like_scene(folder)? {
-        return Ok(by_itself(folder.to_owned()));
+        return Ok((folder.to_owned(), None));
     }
     for name in IMAGE_FOLDERS {
         if !folders.images(&folder.join(name))?.is_empty() {
-            return Ok(by_itself(folder.to_owned()));
+            return Ok((folder.to_owned(), None));
         }
     }
     const DEEPEST: usize = 4;
@@ -357,10 +333,7 @@ fn scene_folder(folder: &Path, folders: &Folders, warnings: &mut Vec<String>) ->
     }
     let mut candidates = if with_cameras.is_empty() {
         if let Some(images) = delivered(&with_images, folders)? {
-            return Ok(Home {
-                folder: folder.to_owned(),
-                delivered: Some(images),
-            });
+            return Ok((folder.to_owned(), Some(images)));
         }
         with_images
     } else {
@@ -371,17 +344,10 @@ fn scene_folder(folder: &Path, folders: &Folders, warnings: &mut Vec<String>) ->
         1 => {
             let (home, warning) = candidates.remove(0);
             warnings.extend(warning);
-            Ok(by_itself(home))
+            Ok((home, None))
         }
         _ => Err(SceneError::Several(folder.to_owned(), listed(&candidates))),
     }
-}
-
-/// Location of a scene.
-struct Home {
-    folder: PathBuf,
-    /// Images in subfolders with one image each, as vendors deliver them; `None` where the images are in `folder`.
-    delivered: Option<Vec<PathBuf>>,
 }
 
 /// Images of vendor folders with one image each: a panchromatic file, a multispectral file, both of one acquisition, or

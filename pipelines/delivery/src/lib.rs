@@ -106,17 +106,17 @@ pub enum Split {
     Test,
 }
 
-/// Preferred kind of camera; an image without that kind uses the next one.
+/// Preferred source of an image's camera; if the image has none of this kind, the next one counts.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RpcPreference {
-    /// A Sat-NeRF JSON, which comes from bundle adjustment or from cropping; then the file beside the image, then its
-    /// tag.
+    /// A Sat-NeRF JSON, then the file beside the image, then its tag.
     #[default]
     Json,
-    /// The file beside the image, then its tag; a tag that was moved for a crop precedes the file of the whole image.
+    /// The file beside the image, then its tag; the tag of a crop comes before the file of the whole image.
     Image,
-    /// The file beside the image: RPB, `_RPC.TXT`, XML, `.aux.xml`.
+    /// The file beside the image: RPB, _RPC.TXT, XML, .aux.xml.
     Sidecar,
     /// The tag in the image.
     Tag,
@@ -166,13 +166,8 @@ pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneErr
     }
     let file = RasterFile::open(path)?;
     let entry = ImageEntry {
-        name: names::stem(path),
-        path: path.to_owned(),
-        split: Split::Train,
         json: satnerf::json_of(path, &folders),
-        said: None,
-        tiles: ImageFiles::one(path.to_owned()),
-        multispectral: None,
+        ..ImageEntry::of(ImageFiles::one(path.to_owned()))
     };
     let mut warnings = Vec::new();
     let found = camera::find(&file, &entry, preference, &folders, &mut warnings)?;

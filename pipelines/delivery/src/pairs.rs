@@ -7,9 +7,8 @@ use super::bands;
 use super::draft::Draft;
 use super::entry::ImageEntry;
 use super::files::Folders;
-use super::names::stem;
 use super::tiles::ImageFiles;
-use super::{BandKind, RpcPreference, SceneError, Split, acquisition, calibration, camera, satnerf};
+use super::{BandKind, RpcPreference, SceneError, acquisition, calibration, camera, satnerf};
 use heliosplat_raster::{GridRelation, RasterFile};
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use std::collections::BTreeMap;
@@ -46,13 +45,8 @@ pub(super) fn with_colours(
         return Err(not_a_pair(format!("they have {one} and {other} bands")));
     }
     let entry = ImageEntry {
-        name: stem(&multispectral.path),
-        path: multispectral.path.clone(),
-        split: Split::Train,
         json: satnerf::json_of(&multispectral.path, folders),
-        said: None,
-        tiles: multispectral.clone(),
-        multispectral: None,
+        ..ImageEntry::of(multispectral.clone())
     };
     let mut ignored = Vec::new();
     let camera = camera::find(&colours, &entry, RpcPreference::Image, folders, &mut ignored)?;

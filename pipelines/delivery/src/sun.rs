@@ -78,10 +78,6 @@ impl ImageSun {
 
     /// Azimuth (clockwise from north, 0 to 360) and elevation, degrees; `None` where the sun is unknown.
     pub fn angles_deg(&self) -> Option<[f64; 2]> {
-        let sun = self.position?;
-        Some([
-            sun.azimuth_rad.to_degrees().rem_euclid(360.0),
-            sun.elevation_rad.to_degrees(),
-        ])
+        self.position.map(|sun| sun.degrees())
     }
 }

@@ -112,10 +112,7 @@ fn forget_shared(drafts: &mut [Draft], warnings: &mut Vec<String>) {
 /// where the camera cannot be localised.
 fn tilt(rpc: &Rpc) -> Option<[f64; 2]> {
     let at = |height_m: f64| {
-        let middle = ImagePoint {
-            col: rpc.sample_offset,
-            row: rpc.line_offset,
-        };
+        let middle = ImagePoint::new(rpc.sample_offset, rpc.line_offset);
         rpc.localise(middle, height_m).ok()
     };
     // The model's own half range of heights can have any value in damaged RPCs.
@@ -168,11 +165,7 @@ fn elevation_deg(time: Timestamp, at: GeoPoint) -> f64 {
 mod tests {
     use super::*;
 
-    const AT: GeoPoint = GeoPoint {
-        lon_deg: 36.91,
-        lat_deg: 37.58,
-        height_m: 700.0,
-    };
+    const AT: GeoPoint = GeoPoint::new(36.91, 37.58, 700.0);
 
     fn why(times: &[&str], written: &str) -> Option<&'static str> {
         let tags: Vec<Tag> = times

@@ -36,17 +36,18 @@ use std::path::{Path, PathBuf};
 const WATER: f32 = 9.0;
 
 /// Registration of a prediction to the truth before it is measured.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Protocol {
-    /// No registration.
+    /// None.
     #[default]
     Raw,
-    /// Integer shift and mean height; water out of registration and metric.
+    /// Integer shift and mean height; water left out of both.
     Aligned,
-    /// Integer shift and mean height; water out of the metric only.
+    /// Integer shift and mean height; water left out of the metric.
     AlignedWater,
-    /// Sub-pixel shift and mean height; water out of registration and metric.
+    /// Sub-pixel shift and mean height; water left out of both.
     Subpixel,
 }
 

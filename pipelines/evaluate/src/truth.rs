@@ -91,10 +91,6 @@ fn utm_zone(prediction: &GeoRaster) -> Option<Crs> {
     let (width, height) = (prediction.raster.width as f64, prediction.raster.height as f64);
     let [x, y] = prediction.transform.map_from_pixel(0.5 * width, 0.5 * height);
     let (lon_deg, lat_deg) = CrsTransform::to_lon_lat(crs).ok()?.apply(x, y).ok()?;
-    let middle = GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m: 0.0,
-    };
+    let middle = GeoPoint::new(lon_deg, lat_deg, 0.0);
     Crs::utm(middle).ok()
 }

@@ -1,5 +1,6 @@
 //! Build of the running program: part of the identity of runs, checkpoints and units of a batch.
 
+use crate::request::TrainRequest;
 use heliosplat::train::STATE_VERSION;
 use heliosplat_raster::sha256;
 use std::path::{Path, PathBuf};
@@ -38,4 +39,11 @@ pub fn executable() -> PathBuf {
 pub fn identity_of_program() -> String {
     let version = env!("CARGO_PKG_VERSION");
     format!("heliosplat {version}, build {}, state {STATE_VERSION}\n", build())
+}
+
+/// The first lines of the identity of a training: the program, the limits of the request, and the settings, which are
+/// `config` in TOML.
+pub fn identity_of_training(request: &TrainRequest, seed: u64, config: &str) -> String {
+    let (program, limit, memory) = (identity_of_program(), request.time_budget, request.memory);
+    format!("{program}--time-budget {limit:?}\n--memory {memory:?}\nseed = {seed}\n{config}\n")
 }

@@ -5,6 +5,7 @@ use crate::checkpoint::{self, CheckpointError, CheckpointWriter, LoadedCheckpoin
 use crate::lock::Lock;
 use crate::request::{Earlier, TrainRequest};
 use crate::training::Ending;
+use heliosplat::timeline;
 use heliosplat_raster::write::{remove, write_atomically};
 use heliosplat_raster::{RasterError, bounded, sha256};
 use serde::Serialize;
@@ -22,47 +23,35 @@ pub const MODEL: &str = "model.json";
 pub const RUN: &str = "run.toml";
 /// File of metrics. A run with this file is finished.
 const METRICS: &str = "metrics.json";
-/// Files of a run besides its model and `run.toml`; a run need not have all of them.
-const OF_A_RUN: [&str; 39] = [
+/// Files of a run besides its model, its rasters and `run.toml`; a run need not have all of them.
+const FILES: [&str; 9] = [
     METRICS,
     "calibration.svg",
     "change.png",
-    "change.qml",
-    "change.tif",
-    "change_confidence.qml",
-    "change_confidence.tif",
-    "change_date.qml",
-    "change_date.tif",
     "dsm.png",
-    "dsm.qml",
-    "dsm.tif",
-    "dsm_before.qml",
-    "dsm_before.tif",
-    "dsm_before_coverage.qml",
-    "dsm_before_coverage.tif",
-    "dsm_before_stddev.qml",
-    "dsm_before_stddev.tif",
-    "dsm_before_views.qml",
-    "dsm_before_views.tif",
-    "dsm_coverage.qml",
-    "dsm_coverage.tif",
-    "dsm_stddev.qml",
-    "dsm_stddev.tif",
-    "dsm_views.qml",
-    "dsm_views.tif",
     "error.png",
     "error.tif",
     "report.html",
     "start.png",
-    "start.qml",
-    "start.tif",
-    "start_coverage.qml",
-    "start_coverage.tif",
-    "start_stddev.qml",
-    "start_stddev.tif",
-    "start_views.qml",
-    "start_views.tif",
     "sun.html",
+];
+/// Rasters of a run, `NAME.tif` with the style `NAME.qml`; a run need not have all of them.
+const RASTERS: [&str; 15] = [
+    "change",
+    "change_confidence",
+    "change_date",
+    "dsm",
+    "dsm_before",
+    "dsm_before_coverage",
+    "dsm_before_stddev",
+    "dsm_before_views",
+    "dsm_coverage",
+    "dsm_stddev",
+    "dsm_views",
+    "start",
+    "start_coverage",
+    "start_stddev",
+    "start_views",
 ];
 /// Folders of a run's pictures.
 const PICTURES: [&str; 2] = ["relit", "views"];
@@ -194,8 +183,12 @@ pub fn save_model(
 /// Removes all files of an earlier run but its model: they do not describe the new run, which may not write all of
 /// them.
 fn remove_earlier(folder: &Path) -> Result<(), RunError> {
-    for name in OF_A_RUN {
+    for name in FILES {
         remove(&folder.join(name))?;
+    }
+    for name in RASTERS {
+        remove(&folder.join(name).with_extension("tif"))?;
+        remove(&folder.join(name).with_extension("qml"))?;
     }
     for name in PICTURES {
         let pictures = folder.join(name);
@@ -351,8 +344,22 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> FolderState<'a, P> {
 }
 
 impl Closing<'_> {
-    /// Removes the folder of a failed training, if it was made for it and is still empty.
-    pub fn discard(self) {
+    /// Result of a training that succeeded. The folder of one that failed is removed, if it was made for it and is still
+    /// empty.
+    ///
+    /// # Errors
+    /// The error of the training.
+    pub fn after<T, E>(self, trained: Result<T, E>) -> Result<(Self, T), E> {
+        match trained {
+            Ok(trained) => Ok((self, trained)),
+            Err(error) => {
+                self.discard();
+                Err(error)
+            }
+        }
+    }
+
+    fn discard(self) {
         if self.new {
             drop(self.lock);
             let _ = std::fs::remove_file(self.out.join(heliosplat_session::log::FILE));
@@ -361,12 +368,13 @@ impl Closing<'_> {
         }
     }
 
-    /// Writes `metrics.json`, which makes the run finished, and removes its checkpoint. The folder stays locked while
-    /// the returned lock is held.
+    /// Adds the timeline of the process to `metrics`, writes them as `metrics.json`, which makes the run finished, and
+    /// removes its checkpoint. The folder stays locked while the returned lock is held.
     ///
     /// # Errors
     /// When the file cannot be written.
     pub fn finish(self, metrics: &mut Value, ending: &Ending) -> Result<Lock, RunError> {
+        metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
         if *ending == Ending::Done {
             metrics["training"] = checkpoint::digest(self.identity).into();
         }

@@ -48,18 +48,19 @@ impl ConfigError {
 }
 
 /// Trade-off between time and quality of a training: the name of a file of settings.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {
-    /// A check of the images for consistency, in seconds.
+    /// Seconds, to check cameras, altitudes and suns (satellite scenes).
     Preview,
-    /// A first result in short time.
+    /// A first look.
     Fast,
     /// The default.
     #[default]
     Balanced,
-    /// Smaller errors for two and a half times the time.
+    /// Smaller errors.
     Accurate,
-    /// Smallest errors, twice the time of accurate.
+    /// Smallest errors, twice the time of accurate (satellite scenes).
     Best,
 }
 

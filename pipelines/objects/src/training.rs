@@ -9,10 +9,10 @@ use crate::measure;
 use crate::model::ObjectModel;
 use crate::plan::Plan;
 use crate::run::{self, ObjectRun};
-use heliosplat::timeline::{self, stage};
+use heliosplat::timeline::stage;
 use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::digest;
-use heliosplat_fitting::program::{build, identity_of_program};
+use heliosplat_fitting::program::{build, identity_of_training};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{
     FolderState, Input, RunError, RunFolder, RunRequest, create_folder, hash, peak_rss_bytes, resident_bytes,
@@ -100,13 +100,7 @@ pub fn train(
         closing,
     } = folder;
     let fitted = fit::fit(&capture, &configs, session, budget, checkpoints, checkpoint);
-    let fitted = match fitted {
-        Ok(fitted) => fitted,
-        Err(error) => {
-            closing.discard();
-            return Err(error.into());
-        }
-    };
+    let (closing, fitted) = closing.after(fitted)?;
     if fitted.ending == Ending::Interrupted {
         fitted.ending.check(out)?;
     }
@@ -129,7 +123,6 @@ pub fn train(
     let mut metrics = measure::metrics(&fitted.model, &capture, Some(&pictures))?;
     drop(part);
     add_fit(&mut metrics, &fitted, begun.elapsed().as_secs_f64());
-    metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
     let lock = closing.finish(&mut metrics, &fitted.ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model: TrainedObject {
@@ -149,17 +142,11 @@ fn identity(
     capture: &Capture,
     inputs: &[Input],
 ) -> Result<String, ObjectError> {
-    let mut text = identity_of_program();
-    let seed = configs.lit.train.seed;
     let text_of = |config| toml::to_string(config).map_err(|error| ObjectError::Settings(error.to_string()));
     let (radiance, lit) = (text_of(&configs.radiance)?, text_of(&configs.lit)?);
-    // Writing to a String cannot fail.
-    let _ = writeln!(
-        text,
-        "--time-budget {:?}\n--memory {:?}\nseed = {seed}\n{radiance}{lit}",
-        request.time_budget, request.memory
-    );
+    let mut text = identity_of_training(request, configs.lit.train.seed, &(radiance + &lit));
     for (frame, input) in capture.frames.iter().zip(inputs) {
+        // Writing to a String cannot fail.
         let _ = writeln!(text, "image {} {}", frame.name, input.sha256);
         let camera = format!("{:?} {:?} {:?}", frame.split, frame.camera, frame.light);
         let _ = writeln!(text, "camera and light of {} {}", frame.name, digest(&camera));

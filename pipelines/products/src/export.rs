@@ -342,11 +342,7 @@ mod tests {
     #[test]
     fn corners_of_a_site_are_where_they_belong_on_earth() {
         for (lon_deg, lat_deg) in [(36.91, 37.58), (-47.03, -22.89), (179.999, 65.0), (0.0, 0.0)] {
-            let frame = LocalFrame::new(GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m: 712.0,
-            });
+            let frame = LocalFrame::new(GeoPoint::new(lon_deg, lat_deg, 712.0));
             let matrix = Matrix4::from_column_slice(&ecef_from_enu(&frame));
             for (east, north, up) in [(0.0, 0.0, 0.0), (2000.0, -1500.0, 80.0), (-64.0, 64.0, -12.5)] {
                 let placed = matrix * Vector4::new(east, north, up, 1.0);

@@ -91,11 +91,7 @@ impl NadirGrid {
         let sides = [0.5 * grid.width as f64, 0.5 * grid.height as f64];
         let [x, y] = grid.transform.map_from_pixel(sides[0], sides[1]);
         let (lon_deg, lat_deg) = CrsTransform::to_lon_lat(&grid.crs)?.apply(x, y)?;
-        let frame = LocalFrame::new(GeoPoint {
-            lon_deg,
-            lat_deg,
-            height_m: low,
-        });
+        let frame = LocalFrame::new(GeoPoint::new(lon_deg, lat_deg, low));
         let cell_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
         let place = GroundExtent {
             frame,

@@ -3,8 +3,9 @@
 use super::dsm::{maps, of_model};
 use super::nadir::NadirGrid;
 use super::relight::{RelightError, Viewpoint};
+use super::stac::ItemMetadata;
 use super::sunshine::{Period, sunshine};
-use super::writer::{ItemMetadata, Set, Surroundings, Writer};
+use super::writer::{Set, Surroundings, Writer};
 use super::{ortho, points};
 use crate::change::ChangeMap;
 use crate::model::{LoadedModel, ModelImage};
@@ -36,11 +37,10 @@ pub struct Request {
 pub fn date_of(image: &ModelImage) -> String {
     match (image.time, image.sun) {
         (Some(time), _) => time.strftime("%Y-%m-%d").to_string(),
-        (None, Some(sun)) => format!(
-            "sun_{:03.0}_{:02.0}",
-            sun.azimuth_rad.to_degrees().rem_euclid(360.0),
-            sun.elevation_rad.to_degrees()
-        ),
+        (None, Some(sun)) => {
+            let [azimuth, elevation] = sun.degrees();
+            format!("sun_{azimuth:03.0}_{elevation:02.0}")
+        }
         (None, None) => "undated".into(),
     }
 }

@@ -95,8 +95,9 @@ impl Asset {
 }
 
 fn insert_sun(into: &mut Value, sun: &SunPosition) {
-    into["view:sun_azimuth"] = json!(sun.azimuth_rad.to_degrees().rem_euclid(360.0));
-    into["view:sun_elevation"] = json!(sun.elevation_rad.to_degrees());
+    let [azimuth, elevation] = sun.degrees();
+    into["view:sun_azimuth"] = json!(azimuth);
+    into["view:sun_elevation"] = json!(elevation);
 }
 
 fn describe(plane: &[f32], band: &Band, numbers: Numbers, gsd_m: f64) -> Value {
@@ -152,17 +153,11 @@ pub(crate) fn kept(earlier: &Value, item: &Value, folder: &Path) -> Map<String, 
     kept.map(|(key, asset)| (key.clone(), asset.clone())).collect()
 }
 
-/// Properties of an item.
+/// Metadata of an item besides its grid and its assets.
 #[derive(Debug, Clone)]
-pub struct About<'a> {
+pub struct ItemMetadata<'a> {
     /// Name of the item.
     pub id: &'a str,
-    /// Grid of all rasters.
-    pub grid: &'a GridSpec,
-    /// Ground sampling distance, metres.
-    pub gsd_m: f64,
-    /// Name of the vertical datum of heights.
-    pub vertical_datum: &'a str,
     /// Acquisition times of the images, in any order; not empty.
     pub times: &'a [Timestamp],
     /// Sun of all products; `None` where there is not exactly one.
@@ -171,12 +166,15 @@ pub struct About<'a> {
     pub collection: Option<(&'a str, &'a str)>,
 }
 
+/// Grid of all rasters of an item, the size of its cells in metres, and the name of the vertical datum of heights.
+type Place<'a> = (&'a GridSpec, f64, &'a str);
+
 /// STAC Item of some assets, as JSON.
 ///
 /// # Errors
 /// When a corner of the grid lies outside of its coordinate system.
-pub fn item(about: &About, assets: &[Asset]) -> Result<Value, RasterError> {
-    let corners = corners(about.grid)?;
+pub fn item(about: &ItemMetadata, place: Place, assets: &[Asset]) -> Result<Value, RasterError> {
+    let corners = corners(place.0)?;
     let assets: Map<String, Value> = assets
         .iter()
         .map(|asset| (asset.key.clone(), asset.value.clone()))
@@ -194,7 +192,7 @@ pub fn item(about: &About, assets: &[Asset]) -> Result<Value, RasterError> {
         "id": about.id,
         "geometry": geometry(&corners),
         "bbox": bounds(&[west_east(&corners)]),
-        "properties": properties(about),
+        "properties": properties(about, place),
         "links": links,
         "assets": assets,
     });
@@ -204,19 +202,18 @@ pub fn item(about: &About, assets: &[Asset]) -> Result<Value, RasterError> {
     Ok(item)
 }
 
-fn properties(about: &About) -> Value {
-    let grid = about.grid;
+fn properties(about: &ItemMetadata, (grid, gsd_m, vertical_datum): Place) -> Value {
     let [west, per_col, col_skew, north, row_skew, per_row] = grid.transform.to_gdal();
     let (width, height) = (grid.width as f64, grid.height as f64);
     let (east, south) = (west + per_col * width, north + per_row * height);
     let mut out = json!({
-        "gsd": about.gsd_m,
+        "gsd": gsd_m,
         "proj:code": grid.crs.definition().starts_with("EPSG:").then(|| grid.crs.definition()),
         "proj:shape": [grid.height, grid.width],
         "proj:bbox": [west, south, east, north],
         "proj:transform": [per_col, col_skew, west, row_skew, per_row, north],
         "view:off_nadir": 0.0,
-        "heliosplat:vertical_datum": about.vertical_datum,
+        "heliosplat:vertical_datum": vertical_datum,
         "heliosplat:version": env!("CARGO_PKG_VERSION"),
     });
     let (first, last) = (about.times.iter().min(), about.times.iter().max());
@@ -390,24 +387,17 @@ mod tests {
     use heliosplat_rpc::{GeoPoint, LocalFrame};
 
     fn item_at(lon_deg: f64, lat_deg: f64) -> Value {
-        let origin = GeoPoint {
-            lon_deg,
-            lat_deg,
-            height_m: 0.0,
-        };
+        let origin = GeoPoint::new(lon_deg, lat_deg, 0.0);
         let crs = Crs::utm(origin).expect("UTM");
         let rectangle = [-500.0, -500.0, 500.0, 500.0];
         let grid = GridSpec::covering(&LocalFrame::new(origin), rectangle, &crs, 1.0).expect("a grid");
-        let about = About {
+        let about = ItemMetadata {
             id: "place",
-            grid: &grid,
-            gsd_m: 1.0,
-            vertical_datum: "WGS84 ellipsoid",
             times: &[Timestamp::UNIX_EPOCH],
             sun: None,
             collection: None,
         };
-        item(&about, &[]).expect("an item")
+        item(&about, (&grid, 1.0, "WGS84 ellipsoid"), &[]).expect("an item")
     }
 
     fn bbox(of: &Value) -> [f64; 4] {

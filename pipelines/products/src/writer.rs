@@ -3,7 +3,7 @@
 use super::change::{self, ChangeMap};
 use super::dsm::{self, BANDS, Dsm, UNITS};
 use super::ortho;
-use super::stac::{self, About, Asset, Band, Numbers};
+use super::stac::{self, Asset, Band, ItemMetadata, Numbers};
 use super::style::{Layer, Style, layer_file};
 use super::sunshine::{LINKE_TURBIDITY, Period, Sunshine};
 use heliosplat::Raster;
@@ -14,7 +14,6 @@ use heliosplat_raster::{GridSpec, RasterError, bounded, write_atomically};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
 use heliosplat_scene::indices::NormalisedDifference;
-use jiff::Timestamp;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -27,19 +26,6 @@ const OF_RUN: &str = "../dsm.tif";
 /// Name of the small picture, and its longest side, pixels.
 const THUMBNAIL: &str = "thumbnail.png";
 const THUMBNAIL_PX: usize = 512;
-
-/// Metadata of an item besides its assets.
-#[derive(Debug, Clone)]
-pub struct ItemMetadata<'a> {
-    /// Name of the item.
-    pub id: &'a str,
-    /// Acquisition times of the images; not empty.
-    pub times: &'a [Timestamp],
-    /// Sun of all products; `None` where there is not exactly one.
-    pub sun: Option<&'a SunPosition>,
-    /// Name of the collection of the item and its location relative to the item, if any.
-    pub collection: Option<(&'a str, &'a str)>,
-}
 
 /// Products that were written.
 #[derive(Debug)]
@@ -430,16 +416,7 @@ impl<'a> Writer<'a> {
     /// # Errors
     /// When the grid lies outside its coordinate system, or a file cannot be written.
     pub fn finish(self, said: &ItemMetadata) -> Result<Set, RasterError> {
-        let about = About {
-            id: said.id,
-            grid: self.grid,
-            gsd_m: self.gsd_m,
-            vertical_datum: self.vertical_datum,
-            times: said.times,
-            sun: said.sun,
-            collection: said.collection,
-        };
-        let mut item = stac::item(&about, &self.assets)?;
+        let mut item = stac::item(said, (self.grid, self.gsd_m, self.vertical_datum), &self.assets)?;
         let kept = stac::kept(&self.earlier.0, &item, self.out);
         let files = kept.values().filter_map(|asset| asset["href"].as_str());
         let files = files.map(|href| href.trim_start_matches("./"));
@@ -475,11 +452,9 @@ fn metadata(sun: Option<&SunPosition>) -> Vec<(String, String)> {
         concat!("heliosplat ", env!("CARGO_PKG_VERSION")).to_owned(),
     )];
     if let Some(sun) = sun {
-        items.push((
-            "SUN_AZIMUTH".into(),
-            format!("{:.4}", sun.azimuth_rad.to_degrees().rem_euclid(360.0)),
-        ));
-        items.push(("SUN_ELEVATION".into(), format!("{:.4}", sun.elevation_rad.to_degrees())));
+        let [azimuth, elevation] = sun.degrees();
+        items.push(("SUN_AZIMUTH".into(), format!("{azimuth:.4}")));
+        items.push(("SUN_ELEVATION".into(), format!("{elevation:.4}")));
     }
     items
 }

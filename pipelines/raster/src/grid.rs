@@ -221,11 +221,7 @@ impl EnuGrid {
                     .map_from_pixel((col * SPACING_PX) as f64, (row * SPACING_PX) as f64);
                 let (lon_deg, lat_deg) = transform.apply(x, y)?;
                 let enu = |height_m| {
-                    let enu = frame.enu_from_geo(GeoPoint {
-                        lon_deg,
-                        lat_deg,
-                        height_m,
-                    });
+                    let enu = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, height_m));
                     [enu.x, enu.y, enu.z]
                 };
                 nodes.push([enu(heights_m.0), enu(heights_m.1)]);
@@ -307,11 +303,7 @@ mod tests {
 
     #[test]
     fn the_tabulated_grid_agrees_with_proj_below_a_millimetre() {
-        let origin = GeoPoint {
-            lon_deg: 36.91,
-            lat_deg: 37.585,
-            height_m: 700.0,
-        };
+        let origin = GeoPoint::new(36.91, 37.585, 700.0);
         let frame = LocalFrame::new(origin);
         let crs = Crs::utm(origin).expect("UTM");
         let grid = GridSpec::covering(&frame, [-300.0, -260.0, 280.0, 240.0], &crs, 0.5).expect("a grid");
@@ -320,11 +312,7 @@ mod tests {
         for (col, row, height) in [(3.3, 9.7, 650.0), (700.2, 411.9, 700.0), (1100.0, 900.5, 779.0)] {
             let [x, y] = grid.transform.map_from_pixel(col, row);
             let (lon_deg, lat_deg) = exact.apply(x, y).expect("inside UTM");
-            let want = frame.enu_from_geo(GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m: height,
-            });
+            let want = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, height));
             let got = table.enu(col, row, height);
             for axis in 0..3 {
                 assert!((got[axis] - want[axis]).abs() < 1e-3, "{got:?} {want:?}");
@@ -344,11 +332,7 @@ mod tests {
             (2.9999, 60.0, 32631),
             (20.9999, 78.0, 32633),
         ] {
-            let origin = GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m: 0.0,
-            };
+            let origin = GeoPoint::new(lon_deg, lat_deg, 0.0);
             let frame = LocalFrame::new(origin);
             let crs = Crs::utm(origin).expect("UTM");
             assert_eq!(crs.definition(), format!("EPSG:{zone}"));
@@ -373,11 +357,7 @@ mod tests {
 
     #[test]
     fn the_covering_grid_holds_the_rectangle_and_is_snapped() {
-        let origin = GeoPoint {
-            lon_deg: -81.66,
-            lat_deg: 30.35,
-            height_m: 0.0,
-        };
+        let origin = GeoPoint::new(-81.66, 30.35, 0.0);
         let crs = Crs::utm(origin).expect("UTM");
         let grid = GridSpec::covering(&LocalFrame::new(origin), [-64.0, -64.0, 64.0, 64.0], &crs, 0.5).expect("a grid");
         assert!(grid.width >= 256 && grid.height >= 256 && grid.width < 264, "{grid:?}");

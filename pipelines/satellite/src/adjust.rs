@@ -192,10 +192,10 @@ impl AdjustInput<'_> {
         let near = tie.near.as_dvec3();
         let sightings = tie.sightings.iter().map(|sighting| Sighting {
             image: sighting.view,
-            at: ImagePoint {
-                col: f64::from(sighting.col) + self.ground.crops[sighting.view].col0 as f64,
-                row: f64::from(sighting.row) + self.ground.crops[sighting.view].row0 as f64,
-            },
+            at: ImagePoint::new(
+                f64::from(sighting.col) + self.ground.crops[sighting.view].col0 as f64,
+                f64::from(sighting.row) + self.ground.crops[sighting.view].row0 as f64,
+            ),
             weight: weight(sighting.score),
         });
         Track {

@@ -250,13 +250,7 @@ impl<'a> View<'a> {
 /// Suns of the images (degrees) with standard deviation and source; null for an unknown sun.
 fn suns(images: &[ModelImage]) -> Value {
     let sun = |image: &ModelImage| {
-        let [azimuth_deg, elevation_deg] = match image.sun {
-            Some(sun) => [
-                Some(sun.azimuth_rad.to_degrees().rem_euclid(360.0)),
-                Some(sun.elevation_rad.to_degrees()),
-            ],
-            None => [None; 2],
-        };
+        let [azimuth_deg, elevation_deg] = image.sun.map_or([None; 2], |sun| sun.degrees().map(Some));
         json!({
             "image": image.name,
             "azimuth_deg": azimuth_deg,

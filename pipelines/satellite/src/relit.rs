@@ -158,8 +158,9 @@ fn value(compared: &[Compared], scores: &RelitScores) -> Value {
         .zip(&scores.suns)
         .map(|(compared, score)| {
             let mut out = json!(score);
-            out["sun_azimuth_deg"] = json!(compared.sun.azimuth_rad.to_degrees().rem_euclid(360.0));
-            out["sun_elevation_deg"] = json!(compared.sun.elevation_rad.to_degrees());
+            let [azimuth, elevation] = compared.sun.degrees();
+            out["sun_azimuth_deg"] = json!(azimuth);
+            out["sun_elevation_deg"] = json!(elevation);
             out
         })
         .collect();

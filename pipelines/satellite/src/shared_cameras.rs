@@ -141,10 +141,10 @@ fn ties_of(index: &Index, options: &IngestOptions, config: &SatelliteConfig) -> 
         let image = ground.images.get(sighting.image)?;
         Some(Sighting {
             image: *places.get(image.name.as_str())?,
-            at: ImagePoint {
-                col: sighting.at.col + image.window.col0 as f64,
-                row: sighting.at.row + image.window.row0 as f64,
-            },
+            at: ImagePoint::new(
+                sighting.at.col + image.window.col0 as f64,
+                sighting.at.row + image.window.row0 as f64,
+            ),
             ..*sighting
         })
     };

@@ -227,11 +227,7 @@ impl<'a> Cutter<'a> {
             ] {
                 let [x, y] = self.grid.transform.map_from_pixel(col, row);
                 let (lon_deg, lat_deg) = self.to_lon_lat.apply(x, y)?;
-                let at = frame.enu_from_geo(GeoPoint {
-                    lon_deg,
-                    lat_deg,
-                    height_m: frame.origin.height_m,
-                });
+                let at = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m));
                 for (axis, v) in [at.x, at.y].into_iter().enumerate() {
                     low[axis] = low[axis].min(v);
                     high[axis] = high[axis].max(v);

@@ -16,7 +16,7 @@ use heliosplat::timeline::{self, stage};
 use heliosplat_evaluate::{Protocol, error_map};
 use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::digest;
-use heliosplat_fitting::program::{build, identity_of_program};
+use heliosplat_fitting::program::{build, identity_of_training};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{FolderState, Input, RunFolder, RunRequest};
 use heliosplat_fitting::training::Ending;
@@ -76,13 +76,7 @@ pub fn train(
         memory: request.memory,
         session,
     };
-    let mut fitted = match fit.run(checkpoints, checkpoint) {
-        Ok(fitted) => fitted,
-        Err(error) => {
-            closing.discard();
-            return Err(error);
-        }
-    };
+    let (closing, mut fitted) = closing.after(fit.run(checkpoints, checkpoint))?;
     let ending = fitted.trained.ending.clone();
     if ending == Ending::Interrupted {
         ending.check(&request.out)?;
@@ -131,7 +125,6 @@ pub fn train(
     drop(part);
     metrics["surface"] = serde_json::to_value(surface.facts(model.file.gsd_m)).unwrap_or_default();
     measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
-    metrics["timeline"] = serde_json::to_value(timeline::take()).unwrap_or_default();
     let lock = closing.finish(&mut metrics, &ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model,
@@ -190,18 +183,10 @@ fn identity(
     request: &TrainRequest,
     inputs: &[Input],
 ) -> Result<String, SatelliteError> {
-    let mut text = identity_of_program();
-    let seed = config.train.seed;
-    let config = toml::to_string(config)
+    let settings = toml::to_string(config)
         .map_err(|error| SatelliteError::Unwritable(format!("the configuration cannot be written: {error}")))?;
-    let TrainRequest {
-        time_budget, memory, ..
-    } = request;
+    let mut text = identity_of_training(request, config.train.seed, &settings);
     // Writing to a String cannot fail.
-    let _ = writeln!(
-        text,
-        "--time-budget {time_budget:?}\n--memory {memory:?}\nseed = {seed}\n{config}"
-    );
     let _ = writeln!(text, "matching {:?}", decisions.matching);
     let _ = writeln!(text, "area {:?}\naltitudes {:?}", scene.area, scene.altitude_range_m);
     for input in inputs {

@@ -103,11 +103,7 @@ impl AreaRequest {
             Some(crs) => CrsTransform::to_lon_lat(&Crs::from_definition(crs)?)?.apply(x, y)?,
             None => (if x > 180.0 { x - 360.0 } else { x }, y),
         };
-        Ok(GeoPoint {
-            lon_deg,
-            lat_deg,
-            height_m,
-        })
+        Ok(GeoPoint::new(lon_deg, lat_deg, height_m))
     }
 
     /// Bounding rectangle in a local frame, metres.
@@ -119,11 +115,7 @@ impl AreaRequest {
             north_m: f64::NEG_INFINITY,
         };
         for [lon_deg, lat_deg] in self.outline()? {
-            let enu = frame.enu_from_geo(GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m: frame.origin.height_m,
-            });
+            let enu = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m));
             area.west_m = area.west_m.min(enu.x);
             area.east_m = area.east_m.max(enu.x);
             area.south_m = area.south_m.min(enu.y);

@@ -84,18 +84,10 @@ impl Cut {
         let near = localise(first.image, width as f64 / 2.0, height as f64 / 2.0, altitude_m)?;
         let near = LocalFrame::new(near);
         let mut images = overlapping(all, &near, altitude_m, warnings)?;
-        let footprints = training_footprints(&images, &near, altitude_m)?;
-        let centre = footprint::common(&footprints).centre();
         let wanted = options.area.as_ref();
-        let wanted_near = wanted.map(|wanted| wanted.place(near.origin.height_m)).transpose()?;
-        let centre = match (centre, footprint::covered_twice(&footprints, 0.0)) {
-            (Some(centre), _) => centre,
-            (None, Some(area)) => [(area.west_m + area.east_m) / 2.0, (area.south_m + area.north_m) / 2.0],
-            (None, None) => [0.0; 2],
-        };
-        let mut origin = match wanted_near {
-            Some(middle) => middle,
-            None => near.geo_from_enu(Vector3::new(centre[0], centre[1], 0.0)),
+        let mut origin = match wanted {
+            Some(wanted) => wanted.place(near.origin.height_m)?,
+            None => middle_of(&training_footprints(&images, &near, altitude_m)?, &near),
         };
         origin.height_m = altitude_m;
         let frame = LocalFrame::new(origin);
@@ -123,15 +115,13 @@ impl Cut {
                 });
             }
             // Pixels outside of the ground are left out where they are a large part of an image.
-            None => {
-                for placed in &mut images {
-                    if let Some(window) = window_over(placed.image, &frame, &area, limits_m)
-                        && pixels_of(&window) < WORTH_READING_LESS * pixels_of(&placed.window)
-                    {
-                        placed.window = window;
-                    }
+            None => images.iter_mut().for_each(|placed| {
+                if let Some(window) = window_over(placed.image, &frame, &area, limits_m)
+                    && pixels_of(&window) < WORTH_READING_LESS * pixels_of(&placed.window)
+                {
+                    placed.window = window;
                 }
-            }
+            }),
         }
         let images = images.iter().map(|placed| CutImage {
             image: placed.at,
@@ -342,6 +332,19 @@ fn training_footprints(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -
     training
         .map(|placed| footprint_of(placed.image, frame, altitude_m))
         .collect()
+}
+
+/// Middle of the ground that all training images show, or else of the ground that two show.
+fn middle_of(footprints: &[Footprint], near: &LocalFrame) -> GeoPoint {
+    let centre = match (
+        footprint::common(footprints).centre(),
+        footprint::covered_twice(footprints, 0.0),
+    ) {
+        (Some(centre), _) => centre,
+        (None, Some(area)) => [(area.west_m + area.east_m) / 2.0, (area.south_m + area.north_m) / 2.0],
+        (None, None) => [0.0; 2],
+    };
+    near.geo_from_enu(Vector3::new(centre[0], centre[1], 0.0))
 }
 
 /// Leaves out images that share no ground with a training image; fails for fewer than two remaining training images.

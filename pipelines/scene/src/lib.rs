@@ -41,7 +41,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// User settings of a scene, besides its files.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct IngestOptions {
     /// Lowest and highest altitude of the surface, metres above the ellipsoid.
     pub altitude_range_m: Option<(f64, f64)>,

@@ -42,11 +42,7 @@ fn ground_of(path: &Path, frame: &LocalFrame) -> Option<Area> {
     for (col, row) in [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)] {
         let [x, y] = transform.map_from_pixel(col, row);
         let (lon_deg, lat_deg) = to_lon_lat.apply(x, y).ok()?;
-        let at = frame.enu_from_geo(GeoPoint {
-            lon_deg,
-            lat_deg,
-            height_m: frame.origin.height_m,
-        });
+        let at = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m));
         let known = area.get_or_insert(Area {
             west_m: at.x,
             south_m: at.y,

@@ -3,13 +3,14 @@
 use crate::rpc::ImagePoint;
 
 /// Error model of an image's camera.
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BiasModel {
-    /// One shift for the whole image.
+    /// A shift of the whole image.
     #[default]
     Translation,
-    /// A shift with linear terms along columns and rows: rotation, scale and drift.
+    /// A shift that changes linearly over the image: rotation, scale, drift.
     Affine,
 }
 
@@ -36,10 +37,7 @@ impl Correction {
         Self {
             shift_px: [0.0; 2],
             slope_px: [[0.0; 2]; 2],
-            centre: ImagePoint {
-                col: (width as f64 - 1.0) / 2.0,
-                row: (height as f64 - 1.0) / 2.0,
-            },
+            centre: ImagePoint::new((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0),
             half_side_px: (width.max(height) as f64 / 2.0).max(1.0),
         }
     }
@@ -53,10 +51,7 @@ impl Correction {
     /// Corrected position: `projected` plus its offset.
     pub fn apply(&self, projected: ImagePoint) -> ImagePoint {
         let [col, row] = self.at(projected);
-        ImagePoint {
-            col: projected.col + col,
-            row: projected.row + row,
-        }
+        ImagePoint::new(projected.col + col, projected.row + row)
     }
 
     /// True if the offset is constant over the image.

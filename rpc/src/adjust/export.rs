@@ -49,10 +49,7 @@ pub fn corrected_rpc(
         let height_m = heights_m.0 + share * (heights_m.1 - heights_m.0);
         for row in 0..GRID.0 {
             for col in 0..GRID.0 {
-                let at = ImagePoint {
-                    col: along(width, col),
-                    row: along(height, row),
-                };
+                let at = ImagePoint::new(along(width, col), along(height, row));
                 samples.push((rpc.localise(at, height_m)?, correction.apply(at)));
             }
         }

@@ -4,19 +4,19 @@ use super::error::ReadError;
 use crate::rpc::Rpc;
 
 /// Names of a camera's values in a format; scalars and polynomials in the order of the GeoTIFF tag.
-pub(super) struct Dialect {
+pub(crate) struct Dialect {
     /// Name of the format in errors.
     pub(super) format: &'static str,
     /// Offsets of line, sample, latitude, longitude and height, then their scales.
-    pub(super) scalars: [&'static str; 10],
+    pub(crate) scalars: [&'static str; 10],
     /// Line numerator and denominator, sample numerator and denominator.
-    pub(super) polynomials: [&'static str; 4],
+    pub(crate) polynomials: [&'static str; 4],
     /// Stated bias and random errors, metres.
-    pub(super) errors: [&'static str; 2],
+    pub(crate) errors: [&'static str; 2],
 }
 
 /// The names of GDAL, `_RPC.TXT`, DIMAP and NITF.
-pub(super) const fn customary(format: &'static str) -> Dialect {
+pub(crate) const fn customary(format: &'static str) -> Dialect {
     Dialect {
         format,
         scalars: [

@@ -26,7 +26,8 @@ pub fn satnerf_json(text: &str) -> Result<Rpc, ReadError> {
     camera(dialect.unwrap_or(&SATNERF), &JsonSource { object })
 }
 
-const SATNERF: Dialect = Dialect {
+/// The names of Sat-NeRF.
+pub(crate) const SATNERF: Dialect = Dialect {
     format: "Sat-NeRF JSON",
     scalars: [
         "row_offset",

@@ -103,14 +103,7 @@ pub fn projection_table(golden: &Value) -> Vec<(GeoPoint, ImagePoint)> {
     let pair = |(g, i): (&Value, &Value)| {
         let [lon_deg, lat_deg, height_m] = row(g);
         let [col, row] = row(i);
-        (
-            GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m,
-            },
-            ImagePoint { col, row },
-        )
+        (GeoPoint::new(lon_deg, lat_deg, height_m), ImagePoint { col, row })
     };
     ground.iter().zip(image).map(pair).collect()
 }
@@ -125,11 +118,7 @@ pub fn localisation_table(golden: &Value) -> Vec<(ImagePoint, GeoPoint)> {
         let [lon_deg, lat_deg] = row(g);
         (
             ImagePoint { col, row: row_px },
-            GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m,
-            },
+            GeoPoint::new(lon_deg, lat_deg, height_m),
         )
     };
     image.iter().zip(ground).map(pair).collect()

@@ -21,11 +21,7 @@ const ORBIT_HEIGHT_M: f64 = 694_000.0;
 impl PushBroom {
     pub fn over(lon_deg: f64, lat_deg: f64) -> Self {
         Self {
-            target: GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m: 100.0,
-            },
+            target: GeoPoint::new(lon_deg, lat_deg, 100.0),
             ground_sample_m: 0.5,
             size: 4_000,
             roll_rad: 0.25,

@@ -12,11 +12,8 @@ fn longitude() -> impl Strategy<Value = f64> {
 
 fn place() -> impl Strategy<Value = GeoPoint> {
     let latitude = prop_oneof![3 => -90.0f64..90.0, 1 => Just(90.0), 1 => Just(-90.0), 1 => Just(0.0)];
-    (longitude(), latitude, -400.0f64..8800.0).prop_map(|(lon_deg, lat_deg, height_m)| GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m,
-    })
+    (longitude(), latitude, -400.0f64..8800.0)
+        .prop_map(|(lon_deg, lat_deg, height_m)| GeoPoint::new(lon_deg, lat_deg, height_m))
 }
 
 proptest! {

@@ -1,12 +1,12 @@
 //! `heliosplat adjust`: corrects cameras by tie points, and draws their residuals.
 
 use crate::args::IngestArgs;
-use crate::names::BiasName;
 use crate::outcome::{CliError, Outcome};
 use crate::outputs::Inputs;
 use clap::Args;
 use heliosplat_pages::page::residuals;
 use heliosplat_raster::write_atomically;
+use heliosplat_rpc::adjust::BiasModel;
 use heliosplat_satellite::adjust::{AdjustRequest, adjust_scene};
 use heliosplat_satellite::altitude;
 use heliosplat_scene::Index;
@@ -24,7 +24,7 @@ pub struct AdjustArgs {
     pub out: PathBuf,
     /// Error model of the cameras
     #[arg(long, value_enum, default_value = "translation")]
-    pub model: BiasName,
+    pub model: BiasModel,
     /// Also copy the images, with corrected cameras in their GeoTIFF tags: the folder is then a scene
     #[arg(long)]
     pub images: bool,
@@ -44,7 +44,7 @@ pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliEr
     let scene = altitude::open(&index, &options)?;
     let request = AdjustRequest {
         out: &args.out,
-        model: args.model.into(),
+        model: args.model,
         images: args.images,
     };
     let adjusted = adjust_scene(&scene, &request, session)?;

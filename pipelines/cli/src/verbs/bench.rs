@@ -43,14 +43,18 @@ fn seconds<T>(mut work: impl FnMut() -> T) -> f64 {
 fn camera_rates() -> (f64, f64) {
     let rpc = Rpc::example();
     let fraction = |i: usize, step: f64| (i as f64 * step).fract();
-    let ground = |i: usize| GeoPoint {
-        lon_deg: 36.88 + 0.06 * fraction(i, 0.618_033_988_7),
-        lat_deg: 37.56 + 0.04 * fraction(i, 0.754_877_666_2),
-        height_m: 500.0 + 400.0 * fraction(i, 0.569_840_290_9),
+    let ground = |i: usize| {
+        GeoPoint::new(
+            36.88 + 0.06 * fraction(i, 0.618_033_988_7),
+            37.56 + 0.04 * fraction(i, 0.754_877_666_2),
+            500.0 + 400.0 * fraction(i, 0.569_840_290_9),
+        )
     };
-    let image = |i: usize| ImagePoint {
-        col: 16_000.0 * fraction(i, 0.618_033_988_7),
-        row: 16_000.0 * fraction(i, 0.754_877_666_2),
+    let image = |i: usize| {
+        ImagePoint::new(
+            16_000.0 * fraction(i, 0.618_033_988_7),
+            16_000.0 * fraction(i, 0.754_877_666_2),
+        )
     };
     let ground: Vec<GeoPoint> = (0..POINTS).map(ground).collect();
     let image: Vec<ImagePoint> = (0..POINTS).map(image).collect();

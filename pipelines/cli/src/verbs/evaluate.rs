@@ -30,7 +30,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<Outcome, CliError> {
     let Some(truth) = &args.truth else {
         return Err(CliError::Input("evaluate: --dsm needs --truth FILE".to_owned()));
     };
-    let evaluation = evaluate_dsm(&dsm, truth, args.classes.as_deref(), args.protocol.into())?;
+    let evaluation = evaluate_dsm(&dsm, truth, args.classes.as_deref(), args.protocol)?;
     for warning in &evaluation.warnings {
         tracing::warn!("{warning}");
     }

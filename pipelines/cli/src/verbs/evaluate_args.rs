@@ -1,9 +1,8 @@
 //! Arguments of `evaluate`, and the table and pictures of an evaluation.
 
-use crate::names::ProtocolName;
 use crate::outcome::CliError;
 use clap::Args;
-use heliosplat_evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, error_map};
+use heliosplat_evaluate::{DsmEvaluation, DsmMetrics, HeightErrors, Protocol, error_map};
 use heliosplat_pages::page::calibration;
 use heliosplat_raster::preview::write_png;
 use heliosplat_raster::write_atomically;
@@ -27,7 +26,7 @@ pub struct EvaluateArgs {
     pub classes: Option<PathBuf>,
     /// Registration of the DSM to the truth before the comparison
     #[arg(long, value_name = "NAME", default_value = "raw")]
-    pub protocol: ProtocolName,
+    pub protocol: Protocol,
     /// Folder with truth of relit images (`relit.json`, `relit_K.tif`, `relit_K_shadow.tif`) [default: that of the scene]
     #[arg(long, value_name = "FOLDER", requires = "run", conflicts_with = "truth")]
     pub relit: Option<PathBuf>,

@@ -19,17 +19,16 @@ use std::path::Path;
 /// When the run, the sun, an option or a file name cannot be used, or a file cannot be written.
 pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
     let (subject, gaussians) = open(&args.run)?;
-    for (given, name) in [
-        (args.light.is_some(), "light"),
-        (args.toward.is_some(), "toward"),
-        (args.asset.is_some(), "asset"),
-        (args.cells.is_some(), "cells"),
-    ] {
-        if given {
-            let text = format!("export --{name}: for runs on objects; leave it out for one on a satellite scene");
-            return Err(CliError::Input(text));
-        }
-    }
+    CliError::refuse(
+        "export",
+        &[
+            (args.light.is_some(), "light"),
+            (args.toward.is_some(), "toward"),
+            (args.asset.is_some(), "asset"),
+            (args.cells.is_some(), "cells"),
+        ],
+        "for runs on objects; leave it out for one on a satellite scene",
+    )?;
     let (mesh, tiles_of_mesh) = match &args.mesh {
         Some(Some(path)) => (Some(path.clone()), false),
         Some(None) if args.tiles.is_none() => {

@@ -233,6 +233,34 @@ fn values_in_words(images: &[SceneImage]) -> String {
     words.collect::<Vec<_>>().join(", ")
 }
 
+fn images_table(images: &[SceneImage]) -> String {
+    let longest = images.iter().map(|image| image.name.len()).max().unwrap_or(0).max(5);
+    let mut text = format!(
+        "\n{:<longest$}  split  pixels       type     off-nadir  fit rms / max px  sun az / el            time",
+        "image"
+    );
+    for image in images {
+        let sun = match image.sun.angles_deg() {
+            Some([azimuth, elevation]) => format!("{azimuth:>6.1} / {elevation:<4.1} {}", image.sun.source.name()),
+            None => "unknown".to_owned(),
+        };
+        // Writing to a String cannot fail.
+        let _ = write!(
+            text,
+            "\n{:<longest$}  {:<5}  {:<11}  {:<7}  {:>7.1}    {:>7.4} / {:<7.4} {sun:<22}  {}",
+            image.name,
+            if image.split == Split::Train { "train" } else { "test" },
+            format!("{}x{}", image.pixels.width, image.pixels.height),
+            image.data_type,
+            off_nadir_deg(image),
+            image.pinhole.rms_px,
+            image.pinhole.max_px,
+            image.time.map_or("unknown".to_owned(), |time| time.to_string())
+        );
+    }
+    text
+}
+
 fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
     let origin = scene.origin();
     let (low, high) = scene.altitude_range_m;
@@ -282,34 +310,7 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
             truth.into_iter().flatten().collect::<Vec<_>>().join(", ")
         ));
     }
-    let longest = scene
-        .images
-        .iter()
-        .map(|image| image.name.len())
-        .max()
-        .unwrap_or(0)
-        .max(5);
-    line(format_args!(
-        "\n{:<longest$}  split  pixels       type     off-nadir  fit rms / max px  sun az / el            time",
-        "image"
-    ));
-    for image in &scene.images {
-        let sun = match image.sun.angles_deg() {
-            Some([azimuth, elevation]) => format!("{azimuth:>6.1} / {elevation:<4.1} {}", image.sun.source.name()),
-            None => "unknown".to_owned(),
-        };
-        line(format_args!(
-            "{:<longest$}  {:<5}  {:<11}  {:<7}  {:>7.1}    {:>7.4} / {:<7.4} {sun:<22}  {}",
-            image.name,
-            if image.split == Split::Train { "train" } else { "test" },
-            format!("{}x{}", image.pixels.width, image.pixels.height),
-            image.data_type,
-            off_nadir_deg(image),
-            image.pinhole.rms_px,
-            image.pinhole.max_px,
-            image.time.map_or("unknown".to_owned(), |time| time.to_string())
-        ));
-    }
+    line(format_args!("{}", images_table(&scene.images)));
     line(format_args!("{}", pairs_table(scene.pairs()).trim_end()));
     if !plan.is_empty() {
         line(format_args!("\ncomponents"));

@@ -1,12 +1,12 @@
 //! Arguments of the verbs that satellite scenes and objects share: `train`, `dsm`, `relight`, `render`.
 
 use crate::args::IngestArgs;
-use crate::names::{GeoidName, PresetName};
 use crate::outcome::Outcome;
 use crate::parse;
 use clap::{Args, ValueEnum};
 use heliosplat_fitting::request::{Earlier, TrainRequest};
 use heliosplat_fitting::settings::Preset;
+use heliosplat_raster::Geoid;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::Split;
 use serde_json::Value;
@@ -28,7 +28,7 @@ pub struct TrainArgs {
     pub out: PathBuf,
     /// Trade-off of time against quality [default: balanced]
     #[arg(long, value_enum)]
-    pub preset: Option<PresetName>,
+    pub preset: Option<Preset>,
     /// Take as many steps as fit into this time, products included, such as 90s, 5m, 1h30m
     #[arg(long, value_parser = parse::duration, value_name = "TIME")]
     pub time_budget: Option<Duration>,
@@ -92,7 +92,7 @@ pub struct DsmArgs {
     pub date: Option<jiff::civil::Date>,
     /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's data files
     #[arg(long, value_enum, value_name = "NAME")]
-    pub geoid: Option<GeoidName>,
+    pub geoid: Option<Geoid>,
     /// Close holes with the lower of the altitudes around them; filled cells have coverage 0, views 0 and no standard
     /// deviation
     #[arg(long)]

@@ -9,7 +9,6 @@ use heliosplat::light::Light;
 use heliosplat::timeline;
 use heliosplat_fitting::request::TrainOutcome;
 use heliosplat_fitting::run_folder::create_folder;
-use heliosplat_fitting::settings::Preset;
 use heliosplat_objects::config::{Background, ObjectConfigs};
 use heliosplat_objects::model::{self, components};
 use heliosplat_objects::pixels::Encoding;
@@ -34,18 +33,17 @@ use std::time::Instant;
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
     timeline::take();
-    for (given, name) in [
-        (args.ingest.altitude.is_some(), "altitude"),
-        (args.ingest.area.is_some(), "area"),
-    ] {
-        if given {
-            let text = format!("train --{name}: not for captures of objects; train again without it");
-            return Err(CliError::Input(text));
-        }
-    }
+    CliError::refuse(
+        "train",
+        &[
+            (args.ingest.altitude.is_some(), "altitude"),
+            (args.ingest.area.is_some(), "area"),
+        ],
+        "not for captures of objects; train again without it",
+    )?;
     let lists = ["transforms.json", "transforms_train.json", "cameras.csv"].map(|name| args.scene.join(name));
     Inputs::of_files(lists.iter().chain([&args.scene])).keep_folder(&args.out)?;
-    let preset = args.preset.map(Preset::from).unwrap_or_default();
+    let preset = args.preset.unwrap_or_default();
     let configs = ObjectConfigs::resolve(preset, &args.set, args.seed)?;
     let request = args.request(preset, begun);
     let (metrics, before) = match training::train(&args.scene, configs, &request, session)? {
@@ -186,17 +184,16 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
 /// # Errors
 /// When the run or an option cannot be used, or a file cannot be written.
 pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, CliError> {
-    for (given, name) in [
-        (args.splats.is_some(), "splats"),
-        (args.tiles.is_some(), "tiles"),
-        (args.sun.is_some(), "sun"),
-        (args.time.is_some(), "time"),
-    ] {
-        if given {
-            let text = format!("export --{name}: for runs on satellite scenes; leave it out for one on an object");
-            return Err(CliError::Input(text));
-        }
-    }
+    CliError::refuse(
+        "export",
+        &[
+            (args.splats.is_some(), "splats"),
+            (args.tiles.is_some(), "tiles"),
+            (args.sun.is_some(), "sun"),
+            (args.time.is_some(), "time"),
+        ],
+        "for runs on satellite scenes; leave it out for one on an object",
+    )?;
     let format = match &args.mesh {
         Some(Some(path)) => Some((path, mesh_format(path)?)),
         Some(None) => {

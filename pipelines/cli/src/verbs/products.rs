@@ -1,7 +1,6 @@
 //! `heliosplat products`: writes files for a GIS.
 
 use crate::args::map_of;
-use crate::names::GeoidName;
 use crate::outcome::{CliError, Outcome};
 use crate::outputs::Inputs;
 use crate::parse;
@@ -11,7 +10,7 @@ use heliosplat_products::set::{self, Request};
 use heliosplat_products::stac;
 use heliosplat_products::sunshine::Period;
 use heliosplat_products::writer::Set;
-use heliosplat_raster::write_atomically;
+use heliosplat_raster::{Geoid, write_atomically};
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_session::Session;
@@ -36,7 +35,7 @@ pub struct ProductsArgs {
     pub crs: Option<String>,
     /// Heights above this geoid instead of the ellipsoid; its grid must be among PROJ's data files
     #[arg(long, value_enum, value_name = "NAME")]
-    pub geoid: Option<GeoidName>,
+    pub geoid: Option<Geoid>,
     /// Also an ortho image under this sun: azimuth (clockwise from north) and elevation, degrees
     #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "time")]
     pub sun: Option<SunPosition>,

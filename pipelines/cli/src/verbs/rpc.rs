@@ -1,10 +1,9 @@
 //! `heliosplat rpc project` and `heliosplat rpc localise`: lines of numbers in, lines of numbers out.
 
-use crate::names::RpcName;
 use crate::outcome::{CliError, Outcome};
 use clap::{Args, Subcommand};
 use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc};
-use heliosplat_scene::camera_of;
+use heliosplat_scene::{RpcPreference, camera_of};
 use std::io::{BufRead, Read};
 use std::path::PathBuf;
 
@@ -34,7 +33,7 @@ struct CameraArgs {
     camera: PathBuf,
     /// Preferred source of the camera if an image's own RPC and a Sat-NeRF JSON differ
     #[arg(long, value_name = "SOURCE", default_value = "json")]
-    rpc: RpcName,
+    rpc: RpcPreference,
 }
 
 /// Size from which a line is refused, bytes.
@@ -46,7 +45,7 @@ const LINE_MAX: u64 = 4096;
 /// When the camera cannot be read, or a line is no point or cannot be transformed.
 pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
     let (Direction::Project(camera) | Direction::Localise(camera)) = &args.direction;
-    let rpc = camera_of(&camera.camera, camera.rpc.into())?;
+    let rpc = camera_of(&camera.camera, camera.rpc)?;
     let transform = match args.direction {
         Direction::Project(_) => project,
         Direction::Localise(_) => localise,
@@ -80,11 +79,7 @@ pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
 }
 
 fn project(rpc: &Rpc, [lon_deg, lat_deg, height_m]: [f64; 3]) -> Result<[f64; 2], String> {
-    let point = rpc.project(GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m,
-    });
+    let point = rpc.project(GeoPoint::new(lon_deg, lat_deg, height_m));
     if point.col.is_finite() && point.row.is_finite() {
         Ok([point.col, point.row])
     } else {

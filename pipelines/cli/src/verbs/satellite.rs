@@ -9,10 +9,9 @@ use crate::outputs::{Inputs, must_end_in};
 use heliosplat::timeline::{self, stage};
 use heliosplat_fitting::request::TrainOutcome;
 use heliosplat_fitting::run_folder::{RunError, create_folder, read, save_metrics};
-use heliosplat_fitting::settings::Preset;
 use heliosplat_pages::report::{self, add_report};
 use heliosplat_products::change::{as_day, day_of};
-use heliosplat_products::dsm::SurfaceFacts;
+use heliosplat_products::dsm::{Dsm, SurfaceFacts};
 use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::Crs;
@@ -39,7 +38,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     let begun = Instant::now();
     timeline::take();
     let part = stage("read");
-    let preset = args.preset.map(Preset::from).unwrap_or_default();
+    let preset = args.preset.unwrap_or_default();
     let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
     let mut ingest = args.ingest.options();
     let index = Index::open(&args.scene, ingest.rpc)?;
@@ -112,21 +111,8 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     };
     let (mut surface, gsd_m, swept) = match args.from.unwrap_or(usual) {
         DsmSource::Model => {
-            if args.ingest.altitude.is_some() {
-                return Err(CliError::Input(
-                    "dsm: --altitude is for --from sweep; a run knows its own".into(),
-                ));
-            }
-            if args.memory.is_some() {
-                return Err(CliError::Input("dsm: --memory is for --from sweep".into()));
-            }
-            Inputs::of_run(&args.run).keep_surface(&args.out)?;
-            let model = match args.date {
-                Some(date) => load_whole(&args.run)?.on(as_day(date)),
-                None => load(&args.run)?,
-            };
-            let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
-            (dsm::dsm(&model, gsd_m, crs)?, gsd_m, None)
+            let (surface, gsd_m) = surface_of_run(args, crs)?;
+            (surface, gsd_m, None)
         }
         DsmSource::Sweep if args.date.is_some() => {
             return Err(CliError::Input(
@@ -174,17 +160,30 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         said["warnings"] = json!(warnings);
         said["timeline"] = stages();
     }
-    Ok(Outcome {
-        text: format!(
-            "{}{}",
-            facts.in_words(&args.out),
-            match args.fill {
-                true => format!("\n                {:.1} % of the grid filled", 100.0 * filled),
-                false => String::new(),
-            }
-        ),
-        json: said,
-    })
+    let mut text = facts.in_words(&args.out);
+    if args.fill {
+        text += &format!("\n                {:.1} % of the grid filled", 100.0 * filled);
+    }
+    Ok(Outcome { text, json: said })
+}
+
+/// Surface model of a run, and its ground sampling distance in metres.
+fn surface_of_run(args: &DsmArgs, crs: Option<&str>) -> Result<(Dsm, f64), CliError> {
+    if args.ingest.altitude.is_some() {
+        return Err(CliError::Input(
+            "dsm: --altitude is for --from sweep; a run knows its own".into(),
+        ));
+    }
+    if args.memory.is_some() {
+        return Err(CliError::Input("dsm: --memory is for --from sweep".into()));
+    }
+    Inputs::of_run(&args.run).keep_surface(&args.out)?;
+    let model = match args.date {
+        Some(date) => load_whole(&args.run)?.on(as_day(date)),
+        None => load(&args.run)?,
+    };
+    let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
+    Ok((dsm::dsm(&model, gsd_m, crs)?, gsd_m))
 }
 
 /// Timeline of this command, as JSON.
@@ -299,8 +298,8 @@ pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliEr
     if args.relit.is_some() {
         scene.truth.relit = None;
     }
-    let evaluation = measure::dsm(&scene, &model, run, args.protocol.into())?;
-    let mut metrics = measure::metrics(&scene, &whole, run, args.protocol.into())?;
+    let evaluation = measure::dsm(&scene, &model, run, args.protocol)?;
+    let mut metrics = measure::metrics(&scene, &whole, run, args.protocol)?;
     if let Some(folder) = &args.relit {
         metrics["relit"] = relit::measure(&model, folder, run)?;
     }

@@ -27,11 +27,7 @@ fn place(text: &str) -> Result<GeoPoint, String> {
     if lat_deg.abs() > 90.0 || lon_deg.abs() > 360.0 {
         return Err("latitude comes first: it lies between -90 and 90".to_owned());
     }
-    Ok(GeoPoint {
-        lon_deg,
-        lat_deg,
-        height_m,
-    })
+    Ok(GeoPoint::new(lon_deg, lat_deg, height_m))
 }
 
 /// Computes azimuth and geometric elevation of the sun, degrees; never fails.

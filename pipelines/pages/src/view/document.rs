@@ -136,11 +136,12 @@ fn date(date: &TracedDate) -> Value {
         .shadows
         .as_ref()
         .map(|shadows| pack::mask(shadows.plane(0).iter().map(|&shadow| shadow >= 0.5)));
+    let [azimuth_deg, elevation_deg] = date.sun.degrees();
     json!({
         "name": date.name,
         "time": date.time.map(|time| time.to_string()),
-        "azimuth_deg": date.sun.azimuth_rad.to_degrees().rem_euclid(360.0),
-        "elevation_deg": date.sun.elevation_rad.to_degrees(),
+        "azimuth_deg": azimuth_deg,
+        "elevation_deg": elevation_deg,
         "mask": mask,
     })
 }
@@ -150,7 +151,7 @@ fn layer(layer: &Layer) -> Option<Value> {
         "id": layer.id,
         "name": layer.name,
         "unit": layer.unit,
-        "ramp": layer.ramp.name(),
+        "ramp": layer.ramp,
         "range": layer.range,
     });
     match layer.ramp {

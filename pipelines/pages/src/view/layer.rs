@@ -3,7 +3,8 @@
 use heliosplat::Raster;
 
 /// Colour ramp of a map.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Ramp {
     /// From blue over white to red; zero is white.
     Diverging,
@@ -11,17 +12,6 @@ pub enum Ramp {
     Sequential,
     /// A picture: red, green and blue, or grey.
     Picture,
-}
-
-impl Ramp {
-    /// Name in the data of the page.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Diverging => "diverging",
-            Self::Sequential => "sequential",
-            Self::Picture => "picture",
-        }
-    }
 }
 
 /// Map or picture on the page's grid.

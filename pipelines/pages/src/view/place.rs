@@ -45,11 +45,7 @@ impl GridLocation {
         let (width, height) = (grid.width as f64, grid.height as f64);
         let (col, row) = (0.5 * (width - 1.0), 0.5 * (height - 1.0));
         let (lon_deg, lat_deg) = lon_lat(col, row)?;
-        let frame = LocalFrame::new(GeoPoint {
-            lon_deg,
-            lat_deg,
-            height_m,
-        });
+        let frame = LocalFrame::new(GeoPoint::new(lon_deg, lat_deg, height_m));
         let per_metre = |direction: Vector3<f64>| -> Result<[[f64; 2]; 2], RasterError> {
             let at = |sign: f64| {
                 let geo = frame.geo_from_enu(direction * (sign * STEP_M));
@@ -87,11 +83,7 @@ mod tests {
     use heliosplat_raster::Crs;
 
     fn grid_at(lon_deg: f64, lat_deg: f64, crs: &Crs, gsd_m: f64) -> GridSpec {
-        let frame = LocalFrame::new(GeoPoint {
-            lon_deg,
-            lat_deg,
-            height_m: 0.0,
-        });
+        let frame = LocalFrame::new(GeoPoint::new(lon_deg, lat_deg, 0.0));
         GridSpec::covering(&frame, [-100.0, -100.0, 100.0, 100.0], crs, gsd_m).expect("a grid")
     }
 

@@ -85,11 +85,7 @@ mod tests {
     fn a_tileset_over_others_has_their_region() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let parts = [36.90, 36.92].map(|lon_deg| {
-            let frame = LocalFrame::new(GeoPoint {
-                lon_deg,
-                lat_deg: 37.5,
-                height_m: 700.0,
-            });
+            let frame = LocalFrame::new(GeoPoint::new(lon_deg, 37.5, 700.0));
             let volume = [0.0, 0.0, 25.0, 500.0, 0.0, 0.0, 0.0, 400.0, 0.0, 0.0, 0.0, 25.0];
             let root =
                 json!({"boundingVolume": {"box": volume}, "transform": ecef_from_enu(&frame), "geometricError": 7.0});

@@ -189,12 +189,8 @@ impl Lit {
     /// Metadata of the splats in files: sun angles, degrees, and display stretch, counts.
     pub(super) fn metadata(&self) -> Value {
         let counts = |value: f32| f64::from(value) * self.counts_per_unit;
-        let sun = self.sun.map(|sun| {
-            json!({
-                "azimuth_deg": sun.azimuth_rad.to_degrees().rem_euclid(360.0),
-                "elevation_deg": sun.elevation_rad.to_degrees(),
-            })
-        });
+        let sun = self.sun.map(|sun| sun.degrees());
+        let sun = sun.map(|[azimuth, elevation]| json!({"azimuth_deg": azimuth, "elevation_deg": elevation}));
         json!({
             "sun": sun,
             "display": {
@@ -336,13 +332,7 @@ mod tests {
 
     #[test]
     fn a_splat_moved_to_another_frame_stays_where_it_is_on_earth() {
-        let at = |lon_deg, lat_deg, height_m| {
-            LocalFrame::new(GeoPoint {
-                lon_deg,
-                lat_deg,
-                height_m,
-            })
-        };
+        let at = |lon_deg, lat_deg, height_m| LocalFrame::new(GeoPoint::new(lon_deg, lat_deg, height_m));
         let (from, to) = (at(36.91, 37.58, 700.0), at(36.93, 37.57, 655.0));
         let splat = Splat {
             position: Vec3::new(30.0, -40.0, 12.0),

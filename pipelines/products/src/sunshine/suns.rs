@@ -190,11 +190,7 @@ mod tests {
 
     #[test]
     fn an_open_place_sees_the_sun_for_half_a_day_of_the_year_s_hours() {
-        let place = GeoPoint {
-            lon_deg: 135.5,
-            lat_deg: 34.7,
-            height_m: 50.0,
-        };
+        let place = GeoPoint::new(135.5, 34.7, 50.0);
         let hours = |from: &str, to: &str| {
             let period = Period::new(date(from), date(to)).expect("days");
             let suns = Suns::new(place, &period, 90);

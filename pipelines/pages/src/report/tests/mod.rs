@@ -69,11 +69,7 @@ fn contents(folder: &Path) -> Contents {
             globals: model.initial_globals(0.3),
             daylight: None,
             options,
-            origin: GeoPoint {
-                lon_deg: 0.0,
-                lat_deg: 0.0,
-                height_m: 0.0,
-            },
+            origin: GeoPoint::new(0.0, 0.0, 0.0),
             altitude_range_m: (0.0, 1.0),
             area: Area {
                 west_m: 0.0,

@@ -7,11 +7,7 @@ use heliosplat_raster::grid::GridSpec;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_scene::Area;
 
-const PLACE: GeoPoint = GeoPoint {
-    lon_deg: 9.0,
-    lat_deg: 48.0,
-    height_m: 0.0,
-};
+const PLACE: GeoPoint = GeoPoint::new(9.0, 48.0, 0.0);
 const CELLS: CellVectors = CellVectors {
     per_col: [0.5, 0.0],
     per_row: [0.0, -0.5],

@@ -56,10 +56,7 @@ impl ReducedView<'_> {
     /// Position in the file of a position in the reduced image; pixel centres are at integers in both.
     fn in_file(&self, at: Vector2<f64>) -> ImagePoint {
         let one = |value: f64, first: usize| first as f64 - 0.5 + (value + 0.5) * self.factor as f64;
-        ImagePoint {
-            col: one(at.x, self.first_px[0]),
-            row: one(at.y, self.first_px[1]),
-        }
+        ImagePoint::new(one(at.x, self.first_px[0]), one(at.y, self.first_px[1]))
     }
 
     fn reduced(&self, at: ImagePoint) -> Vector2<f64> {
