@@ -447,9 +447,11 @@ const SHOWN_ABOVE_ZERO: [&str; 3] = ["/rejected_steps", "/lowered/area_m2", "/ch
 /// One line for each figure in `metrics`; a row is label, JSON pointer, factor and unit.
 fn lines_of(metrics: &Value, rows: &[(&str, &str, f64, &str)]) -> Vec<String> {
     let line = |&(label, place, factor, unit): &(&str, &str, f64, &str)| {
-        let value = metrics.pointer(place)?.as_f64()?;
-        let shown = value > 0.0 || !SHOWN_ABOVE_ZERO.contains(&place);
-        shown.then(|| format!("{label:<14} {:.3} {unit}", factor * value))
+        let value = metrics.pointer(place)?;
+        let number = value.as_f64()?;
+        let shown = number > 0.0 || !SHOWN_ABOVE_ZERO.contains(&place);
+        let digits = if value.is_u64() { 0 } else { 3 };
+        shown.then(|| format!("{label:<14} {:.digits$} {unit}", factor * number))
     };
     rows.iter().filter_map(line).collect()
 }
