@@ -39,7 +39,7 @@ const OUTER: [(Use, u32); 4] = [
 ];
 const WORKS: [(Use, u32); 3] = [(Use::Commerce, 8), (Use::Apartments, 1), (Use::Houses, 1)];
 
-/// Where the parts of a town lie.
+/// Places of the parts of a town.
 pub(super) struct Town {
     /// The hill on one side.
     pub(super) hill: Hill,

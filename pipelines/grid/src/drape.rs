@@ -176,7 +176,8 @@ impl Level {
         both
     }
 
-    /// Ground from the cloth: the surface where it lies on the cloth, elsewhere a smooth span between such cells.
+    /// Ground from the cloth: the surface where it lies on the cloth and no object is near, elsewhere a smooth span
+    /// between such cells. Cells twice [`GROUND_M`] above the cloth are objects.
     fn ground_below(&self, cloth: &[f32]) -> Vec<f32> {
         let above_m = || self.surface.iter().zip(cloth).map(|(surface, cloth)| surface - cloth);
         let free: Vec<f32> = above_m().map(|z| if z > 2.0 * GROUND_M { 0.0 } else { 1.0 }).collect();

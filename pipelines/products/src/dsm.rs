@@ -211,6 +211,7 @@ fn add_error_of_base(deviation_m: &mut [f32], base_to_height: &[f32], gsd_m: f32
         *deviation = (*deviation * *deviation + more).sqrt();
     }
 }
+
 /// Mean of the squared deviations of the cells around `cell`, metres².
 fn own_variance(raster: &Raster, cell: usize) -> f32 {
     let deviations = raster.plane(DEVIATION);

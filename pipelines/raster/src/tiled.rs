@@ -79,7 +79,7 @@ impl Composite for Mosaic {
         self.0.iter_mut().for_each(|(_, file)| file.set_opacity(band));
     }
 
-    /// Where tiles overlap, the last one is used.
+    /// The last tile counts in an overlap.
     fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
         let plane = window.width * window.height;
         let mut values = vec![f32::NAN; plane * bands.len()];
