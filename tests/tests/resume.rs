@@ -246,6 +246,37 @@ fn trainings_that_are_stopped_or_killed_end_with_the_same_bytes() {
     json(&home.arguments(&whole, &[]));
     assert!(!checkpoint(&whole).exists(), "a finished run keeps no checkpoint");
 
+    // Its configuration gives the same run again, under one bar from the cameras to the products.
+    let again = home.run("again");
+    let settings = whole.join("run.toml").display().to_string();
+    let mut command = Command::new(binary());
+    command.args([
+        "train",
+        &home.scene.display().to_string(),
+        "--config",
+        &settings,
+        "--out",
+    ]);
+    let output = command
+        .arg(&again)
+        .env("HELIOSPLAT_PROGRESS", "lines")
+        .output()
+        .expect("starts");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{said}");
+    same_products(&whole, &again);
+    let percent: Vec<u64> = said
+        .lines()
+        .filter_map(|line| line.strip_prefix("progress train ")?.strip_suffix(" %")?.parse().ok())
+        .collect();
+    assert!(percent.len() > 10 && percent.is_sorted(), "{percent:?}");
+    assert!(!said.contains("progress sweep"), "{said}");
+    let wrong = home.run("wrong.toml");
+    std::fs::write(&wrong, "preset = \"fast\"\niterations = 9\n").expect("written");
+    let words = ["train", "S", "--config", &wrong.display().to_string(), "--out", "none"].map(String::from);
+    let line = fault(&words, 2);
+    assert!(line.contains("wrong.toml") && line.contains("iterations"), "{line}");
+
     let run = home.run("interrupted");
     for (name, code, after) in [
         ("TERM", Some(130), 3),

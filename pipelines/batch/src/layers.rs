@@ -40,6 +40,14 @@ impl Layer {
     /// # Errors
     /// When a file is damaged or not on the grid of its tile's surface model.
     pub fn read(out: &Path, parts: &Parts, name: &str) -> Result<Self, BatchError> {
+        Self::named(out, parts, |_| Some(name.to_owned()))
+    }
+
+    /// Reads a raster of every tile below `out`, with the name for the place of the tile.
+    ///
+    /// # Errors
+    /// When a file is damaged or not on the grid of its tile's surface model.
+    pub fn named(out: &Path, parts: &Parts, name: impl Fn(usize) -> Option<String>) -> Result<Self, BatchError> {
         Ok(Self {
             rasters: parts.rasters(out, name)?,
         })

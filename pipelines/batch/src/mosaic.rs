@@ -196,21 +196,23 @@ impl Parts {
         Ok(())
     }
 
-    /// Reads the raster `name` of each tile on the cells of its piece; `None` for tiles without it.
+    /// Reads the raster with the name for its place of each tile on the cells of its piece; `None` for tiles without
+    /// it.
     ///
     /// # Errors
     /// When a file is damaged or not on the grid of its tile's surface model.
-    pub(super) fn rasters(&self, out: &Path, name: &str) -> Result<Vec<Option<Raster>>, BatchError> {
-        let read = |(piece, &(window, size)): (&Piece, &(Window, (usize, usize)))| {
-            let path = out.join(&piece.unit).join(name);
-            path.is_file().then(|| read_window(&path, window, size)).transpose()
-        };
-        Ok(self
-            .pieces
-            .iter()
-            .zip(&self.windows)
-            .map(read)
-            .collect::<Result<_, _>>()?)
+    pub(super) fn rasters(
+        &self,
+        out: &Path,
+        name: impl Fn(usize) -> Option<String>,
+    ) -> Result<Vec<Option<Raster>>, BatchError> {
+        let pieces = self.pieces.iter().zip(&self.windows).enumerate();
+        let read = pieces.map(|(place, (piece, &(window, size)))| {
+            let path = name(place).map(|name| out.join(&piece.unit).join(name));
+            let path = path.filter(|path| path.is_file());
+            path.map(|path| read_window(&path, window, size)).transpose()
+        });
+        Ok(read.collect::<Result<_, _>>()?)
     }
 }
 

@@ -17,7 +17,7 @@ use heliosplat_products::model::{self, LoadedModel, ModelFile, ModelImage};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::points;
 use heliosplat_products::relit_light::BandLight;
-use heliosplat_products::set::{self, Request, dates, only_sun, times};
+use heliosplat_products::set::{self, Request, dates, only_sun, own_name, times};
 use heliosplat_products::stac::ItemMetadata;
 use heliosplat_products::sunshine::sunshine;
 use heliosplat_products::writer::Writer;
@@ -150,7 +150,6 @@ pub fn of_mosaic(
         None => Colours::find(out, &work.tiles, work.gsd_m, work.products.sun.map(sun_of).as_ref())?,
     };
     let read = |name: &str| Layer::read(out, &mosaic.parts, name);
-    let mask = |name: &str| Ok::<_, BatchError>(read(name)?.merged(pieces, size, gsd_m, Merge::Majority));
 
     let mut writer = Writer::new(grid, work.gsd_m, folder)?;
     writer.surface(&mosaic.dsm, &mosaic.around)?;
@@ -173,15 +172,18 @@ pub fn of_mosaic(
             models.share_light(&mut image, (&albedos, &gains), &sun, to);
         }
         let image = image.merged(pieces, size, gsd_m, Merge::Mean);
-        writer.relit(&image, &mask("relit_shadow.tif")?, bands, &sun)?;
+        let shadows = read("relit_shadow.tif")?.merged(pieces, size, gsd_m, Merge::Majority);
+        writer.relit(&image, &shadows, bands, &sun)?;
         OrthoPreview::new(&image, folder).write("relit", None)?;
     }
     if let Some(days) = &work.products.sun_hours {
         hours_of_sun(days, work, mosaic, &mut writer)?;
     }
+    let own_dates: Vec<_> = models.files.iter().map(|file| dates(&file.images)).collect();
     let dates = dates(&images);
     for (date, sun) in &dates {
-        let shadows = mask(&format!("shadow_{date}.tif"))?;
+        let name = |tile: usize| own_name((date, sun), own_dates.get(tile)?).map(|own| format!("shadow_{own}.tif"));
+        let shadows = Layer::named(out, &mosaic.parts, name)?.merged(pieces, size, gsd_m, Merge::Majority);
         writer.shadows(date, &shadows, sun)?;
         look.write(&format!("shadow_{date}"), Some(&shadows))?;
     }

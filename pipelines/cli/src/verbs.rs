@@ -4,6 +4,7 @@ pub mod adjust;
 pub mod batch;
 pub mod bench;
 pub mod completions;
+pub mod config_file;
 #[cfg(feature = "synth")]
 pub mod demo;
 pub mod evaluate;

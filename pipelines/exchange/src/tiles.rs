@@ -56,6 +56,8 @@ impl Tile {
         1 + self.children.iter().map(Self::depth).max().unwrap_or(0)
     }
 
+    /// Entry of the tile in a `tileset.json`, with its volume again for a projected system: the boxes
+    /// of both are in the frame of the tiles.
     fn value(&self) -> Value {
         let middle = |k: usize| 0.5 * (self.low[k] + self.high[k]);
         // No box is flat.
@@ -68,6 +70,7 @@ impl Tile {
         ];
         let mut value = json!({
             "boundingVolume": {"box": volume.concat()}, "geometricError": self.error_m, "content": {"uri": self.file},
+            "extensions": {ESRI_CRS: {"boundingVolume": {"box": volume.concat()}}},
         });
         if !self.children.is_empty() {
             value["children"] = self.children.iter().map(Self::value).collect();
@@ -88,20 +91,43 @@ pub enum Contents {
     Meshes,
 }
 
-/// Content of `tileset.json`: the tree below `root`, the transform of its frame to Earth-centred, Earth-fixed metres
-/// (column after column), and `extras`, metadata of the asset.
-pub fn tileset(root: &Tile, transform: [f64; 16], contents: Contents, extras: Value) -> Value {
+/// Extension of tilesets with a projected coordinate system, which ArcGIS Pro 3.6 reads (Esri, 3D-tiles-layer,
+/// `Esri_crs_extension.md`).
+pub const ESRI_CRS: &str = "ESRI_crs";
+/// Heights above the ellipsoid of WGS 84, as ArcGIS numbers vertical systems.
+const ELLIPSOIDAL: u32 = 115_700;
+
+/// Place of a tileset's frame on Earth. Matrices are column after column.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Placement {
+    /// Transform to Earth-centred, Earth-fixed metres.
+    pub ecef: [f64; 16],
+    /// EPSG code of a projected system in metres.
+    pub epsg: u32,
+    /// Transform to that system and heights above the ellipsoid, exact at the origin of the frame.
+    pub projected: [f64; 16],
+}
+
+/// Value of [`ESRI_CRS`] at the top of a tileset.
+pub fn esri_crs(epsg: u32) -> Value {
+    json!({"wkid": epsg, "vcsWkid": ELLIPSOIDAL})
+}
+
+/// Content of `tileset.json`: the tree below `root`, the place of its frame, and `extras`, metadata of the asset.
+pub fn tileset(root: &Tile, placement: &Placement, contents: Contents, extras: Value) -> Value {
     let mut top = root.value();
-    top["transform"] = json!(transform);
+    top["transform"] = json!(placement.ecef);
+    top["extensions"][ESRI_CRS]["transform"] = json!(placement.projected);
     top["refine"] = "REPLACE".into();
     let sides = (0..3).map(|k| (root.high[k] - root.low[k]).powi(2)).sum::<f64>();
     let mut tileset = json!({
         "asset": {"version": "1.1", "generator": GENERATOR, "extras": extras}, "geometricError": sides.sqrt().max(root.error_m), "root": top,
+        "extensionsUsed": [ESRI_CRS], "extensions": {ESRI_CRS: esri_crs(placement.epsg)},
     });
     if contents == Contents::Splats {
         let names = json!([GAUSSIAN_SPLATTING, spz::COMPRESSION]);
-        tileset["extensionsUsed"] = json!(["3DTILES_content_gltf"]);
-        tileset["extensions"] = json!({"3DTILES_content_gltf": {"extensionsUsed": names, "extensionsRequired": names}});
+        tileset["extensionsUsed"] = json!(["3DTILES_content_gltf", ESRI_CRS]);
+        tileset["extensions"]["3DTILES_content_gltf"] = json!({"extensionsUsed": names, "extensionsRequired": names});
     }
     tileset
 }
@@ -285,7 +311,16 @@ mod tests {
     fn the_tileset_says_that_its_files_are_splats() {
         let (tile, _) = grown(ground(10));
         let names = json!(["KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"]);
-        let tileset = tileset(&tile, [0.0; 16], Contents::Splats, json!({}));
+        let placement = Placement {
+            ecef: [0.0; 16],
+            epsg: 32637,
+            projected: [1.0; 16],
+        };
+        let tileset = tileset(&tile, &placement, Contents::Splats, json!({}));
+        assert_eq!(tileset["extensions"][ESRI_CRS]["wkid"], 32637);
+        let of_root = &tileset["root"]["extensions"][ESRI_CRS];
+        assert_eq!(of_root["boundingVolume"], tileset["root"]["boundingVolume"]);
+        assert_eq!(of_root["transform"].as_array().map(Vec::len), Some(16));
         let extension = &tileset["extensions"]["3DTILES_content_gltf"];
         assert_eq!(
             (&extension["extensionsUsed"], &extension["extensionsRequired"]),

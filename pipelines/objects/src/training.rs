@@ -99,11 +99,17 @@ pub fn train(
         checkpoint,
         closing,
     } = folder;
+    let steps = configs.lit.train.iterations as f64;
+    let _whole = session.whole(
+        "train",
+        &[("plan", 0.4 * steps), ("train", steps), ("products", 0.1 * steps)],
+    );
     let fitted = fit::fit(&capture, &configs, session, budget, checkpoints, checkpoint);
     let (closing, fitted) = closing.after(fitted)?;
     if fitted.ending == Ending::Interrupted {
         fitted.ending.check(out)?;
     }
+    let _progress = session.progress("products", 1);
     let part = stage("save");
     let run = ObjectRun {
         version: env!("CARGO_PKG_VERSION").into(),

@@ -23,13 +23,15 @@ use crate::nadir::NadirGrid;
 use crate::ortho;
 use crate::relight::RelightError;
 use heliosplat_exchange::glb::TooLarge;
-use heliosplat_exchange::tiles::{self, Contents, Tile};
+use heliosplat_exchange::tiles::{self, Contents, Placement, Tile};
 use heliosplat_exchange::{splat_ply, splats};
 use heliosplat_fitting::run_folder::RunError;
-use heliosplat_raster::{RasterError, write_atomically};
-use heliosplat_rpc::LocalFrame;
+use heliosplat_raster::crs::utm_epsg;
+use heliosplat_raster::{Crs, CrsTransform, RasterError, write_atomically};
 use heliosplat_rpc::frame::ecef_from_geo;
 use heliosplat_rpc::sun::SunPosition;
+use heliosplat_rpc::{GeoPoint, LocalFrame};
+use nalgebra::{Matrix4, Vector3};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use textured::{Dressed, TexturedGround};
@@ -132,6 +134,40 @@ pub fn ecef_from_enu(frame: &LocalFrame) -> [f64; 16] {
     }
     matrix[15] = 1.0;
     matrix
+}
+
+/// Half of the distance over which the projection of a frame is differentiated, metres.
+const STEP_M: f64 = 100.0;
+
+/// Place of a local frame on Earth, and in its zone of UTM.
+///
+/// # Errors
+/// When PROJ has no such zone.
+fn placement(frame: &LocalFrame) -> Result<Placement, RasterError> {
+    let GeoPoint { lon_deg, lat_deg, .. } = frame.origin;
+    let epsg = utm_epsg(lon_deg, lat_deg);
+    let to_map = CrsTransform::from_lon_lat(&Crs::from_epsg(epsg)?)?;
+    let mapped = |enu: Vector3<f64>| {
+        let geo = frame.geo_from_enu(enu);
+        let (x, y) = to_map.apply(geo.lon_deg, geo.lat_deg)?;
+        Ok::<_, RasterError>(Vector3::new(x, y, geo.height_m))
+    };
+    let mut projected = Matrix4::identity();
+    projected
+        .fixed_view_mut::<3, 1>(0, 3)
+        .copy_from(&mapped(Vector3::zeros())?);
+    for axis in 0..3 {
+        let step = STEP_M * Vector3::ith(axis, 1.0);
+        let slope = (mapped(step)? - mapped(-step)?) / (2.0 * STEP_M);
+        projected.fixed_view_mut::<3, 1>(0, axis).copy_from(&slope);
+    }
+    let mut matrix = [0.0; 16];
+    matrix.copy_from_slice(projected.as_slice());
+    Ok(Placement {
+        ecef: ecef_from_enu(frame),
+        epsg,
+        projected: matrix,
+    })
 }
 
 /// Anchor of a local frame as JSON: axes, datum, origin (degrees, metres), and transform to Earth-centred, Earth-fixed
@@ -315,10 +351,8 @@ fn write_tiles(
             Ok(())
         };
         let root = grow(&mut write)?.ok_or_else(|| ExportError::NoSurface(folder.to_owned()))?;
-        let text = format!(
-            "{:#}\n",
-            tiles::tileset(&root, ecef_from_enu(frame), contents, said.clone())
-        );
+        let tileset = tiles::tileset(&root, &placement(frame)?, contents, said.clone());
+        let text = format!("{tileset:#}\n");
         write(TILESET, text.into_bytes())?;
         Ok(Written {
             kind: "tiles",
@@ -335,9 +369,24 @@ fn write_tiles(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use heliosplat_rpc::GeoPoint;
     use heliosplat_rpc::frame::geo_from_ecef;
-    use nalgebra::{Matrix4, Vector4};
+    use nalgebra::Vector4;
+
+    #[test]
+    fn a_kilometre_is_placed_on_the_map_to_a_decimetre() {
+        for (lon_deg, lat_deg) in [(36.91, 37.58), (-47.03, -22.89), (11.9, 78.2)] {
+            let frame = LocalFrame::new(GeoPoint::new(lon_deg, lat_deg, 712.0));
+            let Placement { epsg, projected, .. } = placement(&frame).expect("a zone of UTM");
+            let to_map = CrsTransform::from_lon_lat(&Crs::from_epsg(epsg).expect("known")).expect("known");
+            let matrix = Matrix4::from_column_slice(&projected);
+            for (east, north, up) in [(0.0, 0.0, 30.0), (500.0, -500.0, 0.0), (-500.0, 500.0, 80.0)] {
+                let geo = frame.geo_from_enu(Vector3::new(east, north, up));
+                let (x, y) = to_map.apply(geo.lon_deg, geo.lat_deg).expect("inside");
+                let off = (matrix * Vector4::new(east, north, up, 1.0)).xyz() - Vector3::new(x, y, geo.height_m);
+                assert!(off.norm() < 0.1, "{off}");
+            }
+        }
+    }
 
     #[test]
     fn corners_of_a_site_are_where_they_belong_on_earth() {

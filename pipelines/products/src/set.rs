@@ -54,19 +54,31 @@ pub fn dates(images: &[ModelImage]) -> Vec<(String, SunPosition)> {
     let mut known: BTreeMap<String, SunPosition> = BTreeMap::new();
     for (image, sun) in images.iter().filter_map(|image| Some((image, image.sun?))) {
         let day = date_of(image);
-        let is_lit_alike = |other: &SunPosition| {
-            let cosine = other.direction_enu().dot(&sun.direction_enu());
-            cosine.clamp(-1.0, 1.0).acos().to_degrees() <= ONE_SUN_DEG
-        };
         let mut of_day = known.iter().filter(|(name, _)| name.starts_with(&day));
         let name = match (of_day.clone().next(), image.time) {
-            _ if of_day.any(|(_, other)| is_lit_alike(other)) => continue,
+            _ if of_day.any(|(_, other)| is_one_light(other, &sun)) => continue,
             (Some(_), Some(time)) => time.strftime("%Y-%m-%d_%H%M").to_string(),
             _ => day,
         };
         known.entry(name).or_insert(sun);
     }
     known.into_iter().collect()
+}
+
+fn is_one_light(a: &SunPosition, b: &SunPosition) -> bool {
+    let cosine = a.direction_enu().dot(&b.direction_enu());
+    cosine.clamp(-1.0, 1.0).acos().to_degrees() <= ONE_SUN_DEG
+}
+
+/// Name that a run with these dates gives to a date of several runs of a site, with its sun; `None` where its images
+/// do not show that date. Runs name passes in their own order: the only pass of a run has no time in its name.
+pub fn own_name<'a>((date, sun): (&str, &SunPosition), own: &'a [(String, SunPosition)]) -> Option<&'a str> {
+    // A name begins with ten characters of the day, or of the sun where there is no day.
+    let day = |name: &str| name.chars().take(10).collect::<String>();
+    let mut alike = own.iter().filter(|(_, other)| is_one_light(other, sun));
+    alike
+        .find(|(name, _)| day(name) == day(date))
+        .map(|(name, _)| name.as_str())
 }
 
 /// Sun of a run with a single date and a known sun for each image; otherwise `None`.
@@ -187,4 +199,22 @@ pub fn times(images: &[ModelImage], runs: &[&Path]) -> Vec<Timestamp> {
             .and_then(|time| Timestamp::try_from(time).ok())
             .unwrap_or_default(),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_that_shows_one_pass_of_a_day_names_it_without_its_time() {
+        let [morning, noon] = [(110.0, 40.0), (200.0, 55.0)].map(|(az, el)| SunPosition::from_degrees(az, el));
+        let dates = |names: &[(&str, SunPosition)]| -> Vec<(String, SunPosition)> {
+            names.iter().map(|&(name, sun)| (name.to_owned(), sun)).collect()
+        };
+        let both = dates(&[("2026-06-21", morning), ("2026-06-21_1500", noon)]);
+        let later = dates(&[("2026-06-20", noon), ("2026-06-21", noon)]);
+        assert_eq!(own_name(("2026-06-21_1500", &noon), &both), Some("2026-06-21_1500"));
+        assert_eq!(own_name(("2026-06-21_1500", &noon), &later), Some("2026-06-21"));
+        assert_eq!(own_name(("2026-06-21", &morning), &later), None);
+    }
 }

@@ -73,6 +73,7 @@ impl<'a> Preprocess<'a> {
         let known = known_corrections(&ground, &config.cameras);
         let is_known = known.is_some();
         let (mut shifts_px, mut left_out) = known.unwrap_or_else(|| (vec![[0.0; 2]; images], Vec::new()));
+        let cameras = session.progress("cameras", 1);
         let part = stage("clouds");
         let (mut rasters, mut clouds) = clear_rasters(&ground, decisions, &shifts_px, &request);
         ground.check_contrast(&rasters)?;
@@ -90,6 +91,7 @@ impl<'a> Preprocess<'a> {
         clouds::leave_out(&mut rasters, &mut clouds, &left_out);
         clouds::log_shares(&ground, &clouds, &left_out);
         let aligned = started.elapsed();
+        drop(cameras);
         let progress = session.progress("sweep", 100);
         let part = stage("sweep");
         let mut surface = sweep(&ground, &rasters, &shifts_px, decisions, &request, &|share| {

@@ -7,8 +7,8 @@ pub mod memory;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Environment variable that requests progress in lines where stderr is no terminal.
@@ -22,12 +22,25 @@ pub struct SessionError(ctrlc::Error);
 /// Exit code of a process that the user stopped.
 const INTERRUPTED: i32 = 130;
 
+/// Steps of the bar of a whole.
+const STEPS_OF_WHOLE: f64 = 1000.0;
+
 /// Progress output and stop requests during one verb.
 #[derive(Debug, Clone, Default)]
 pub struct Session {
     stop: Arc<AtomicBool>,
     gentle: Arc<AtomicBool>,
     is_quiet: bool,
+    whole: Arc<Mutex<Vec<Part>>>,
+}
+
+/// A part of a whole: its share of the bar.
+#[derive(Debug, Clone)]
+struct Part {
+    label: &'static str,
+    /// First and last step of the bar.
+    steps: [f64; 2],
+    bar: Arc<Progress>,
 }
 
 impl Session {
@@ -91,9 +104,46 @@ impl Session {
         self.bar(label, ProgressBar::no_length(), "{prefix} {elapsed} {msg}")
     }
 
-    /// Starts a progress bar of `total` steps on a terminal. Elsewhere, if `HELIOSPLAT_PROGRESS=lines` is set for a
-    /// program that reads stderr, each percent is reported there as a line `progress LABEL N %`.
+    /// Starts one bar over `parts`, in their order with their expected shares of the time, in any unit. While the
+    /// result lives, [`Self::progress`] moves this bar.
+    pub fn whole(&self, label: &str, parts: &[(&'static str, f64)]) -> Whole {
+        let style = "{prefix} [{bar:30}] {percent} % left {eta} {msg}";
+        let bar = Arc::new(self.bar(label, ProgressBar::new(STEPS_OF_WHOLE as u64), style));
+        let all: f64 = parts.iter().map(|(_, share)| share).sum();
+        let mut end = 0.0;
+        let parts = parts.iter().map(|&(label, share)| {
+            let begin = end;
+            end += STEPS_OF_WHOLE * share / all;
+            Part {
+                label,
+                steps: [begin, end],
+                bar: Arc::clone(&bar),
+            }
+        });
+        *self.parts() = parts.collect();
+        Whole(self.clone())
+    }
+
+    fn parts(&self) -> std::sync::MutexGuard<'_, Vec<Part>> {
+        self.whole.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Starts a progress bar of `total` steps on a terminal, or its part of the bar of a whole. Elsewhere, if
+    /// `HELIOSPLAT_PROGRESS=lines` is set for a program that reads stderr, each percent is reported there as a line
+    /// `progress LABEL N %`.
     pub fn progress(&self, label: &str, total: u64) -> Progress {
+        let part = self.parts().iter().find(|part| part.label == label).cloned();
+        if let Some(part) = part {
+            let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::hidden());
+            part.bar.message(label);
+            let progress = Progress {
+                bar,
+                lines: None,
+                part: Some(part),
+            };
+            progress.set(0);
+            return progress;
+        }
         let style = "{prefix} [{bar:30}] {pos}/{len} {per_sec} left {eta} {msg}";
         self.bar(label, ProgressBar::new(total), style)
     }
@@ -106,7 +156,11 @@ impl Session {
             }
             bar.set_prefix(label.to_owned());
             bar.enable_steady_tick(Duration::from_millis(250));
-            return Progress { bar, lines: None };
+            return Progress {
+                bar,
+                lines: None,
+                part: None,
+            };
         }
         bar.set_draw_target(ProgressDrawTarget::hidden());
         let wanted = std::env::var_os(PROGRESS_VARIABLE).is_some_and(|value| value == "lines");
@@ -114,7 +168,16 @@ impl Session {
             label: label.to_owned(),
             reported: AtomicU64::new(0),
         });
-        Progress { bar, lines }
+        Progress { bar, lines, part: None }
+    }
+}
+
+/// The bar of a whole, removed when dropped.
+pub struct Whole(Session);
+
+impl Drop for Whole {
+    fn drop(&mut self) {
+        self.0.parts().clear();
     }
 }
 
@@ -123,6 +186,7 @@ impl Session {
 pub struct Progress {
     bar: ProgressBar,
     lines: Option<Lines>,
+    part: Option<Part>,
 }
 
 /// Progress in lines, for programs that read stderr.
@@ -152,6 +216,10 @@ impl Progress {
         if let Some(lines) = &self.lines {
             lines.at(done, self.bar.length());
         }
+        if let Some(Part { steps, bar, .. }) = &self.part {
+            let share = done as f64 / self.bar.length().unwrap_or_default().max(1) as f64;
+            bar.set((steps[0] + (steps[1] - steps[0]) * share.min(1.0)) as u64);
+        }
     }
 
     /// Changes the number of steps.
@@ -161,7 +229,10 @@ impl Progress {
 
     /// Shows a short message next to the bar, such as the loss.
     pub fn message(&self, message: &str) {
-        self.bar.set_message(message.to_owned());
+        match &self.part {
+            Some(part) => part.bar.message(&format!("{}: {message}", part.label)),
+            None => self.bar.set_message(message.to_owned()),
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use super::evaluate_args::EvaluateArgs;
 use super::export_args::ExportArgs;
 use super::model_args::{RelightArgs, RenderArgs, TrainArgs};
-use super::{export, object, satellite};
+use super::{config_file, export, object, satellite};
 use crate::args::scene_of;
 use crate::outcome::{CliError, Outcome};
 use heliosplat_fitting::request::Earlier;
@@ -23,10 +23,14 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     if args.earlier() == Earlier::Keep && !checkpoint::path_in(&args.out).exists() {
         run_folder::must_be_free(&args.out)?;
     }
-    let args = &TrainArgs {
+    let mut args = TrainArgs {
         scene: scene_of(&args.scenes, &args.out.join("scene"))?,
         ..args.clone()
     };
+    if let Some(file) = args.config.take() {
+        config_file::complete(&mut args, &file)?;
+    }
+    let args = &args;
     match is_capture(&args.scene) {
         true => object::train(args, session),
         false => satellite::train(args, session),

@@ -35,9 +35,13 @@ pub struct TrainArgs {
     /// Stay below this much memory, such as 4GiB or 500MB
     #[arg(long, value_parser = parse::bytes, value_name = "SIZE")]
     pub memory: Option<u64>,
-    /// Seed of all random numbers
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    /// Seed of all random numbers [default: 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Preset, seed, area, altitudes and settings of a file: the run.toml of an earlier run, or one like it. Options on
+    /// the command line come before those of the file
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
     /// Change one setting, as in --set train.iterations=2000 (docs/guide/settings.md)
     #[arg(long = "set", value_parser = parse::key_value, value_name = "KEY=VALUE")]
     pub set: Vec<(String, String)>,

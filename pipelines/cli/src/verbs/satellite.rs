@@ -39,7 +39,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     timeline::take();
     let part = stage("read");
     let preset = args.preset.unwrap_or_default();
-    let config = SatelliteConfig::resolve(preset, &args.set, args.seed)?;
+    let config = SatelliteConfig::resolve(preset, &args.set, args.seed.unwrap_or(1))?;
     let mut ingest = args.ingest.options();
     let index = Index::open(&args.scene, ingest.rpc)?;
     Inputs::of_index(&index).keep_folder(&args.out)?;

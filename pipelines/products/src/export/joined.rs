@@ -1,15 +1,48 @@
 //! One tileset over several, such as those of the blocks of a mosaic.
 
 use super::ExportError;
-use heliosplat_exchange::tiles::GENERATOR;
+use heliosplat_exchange::tiles::{ESRI_CRS, GENERATOR};
 use heliosplat_raster::{RasterError, bounded, write_atomically};
 use heliosplat_rpc::frame::geo_from_ecef;
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix4, Vector3, Vector4};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// West, south, east, north, radians, and lowest and highest altitude, metres.
+/// West, south, east, north, radians, and lowest and highest altitude, metres; or the same of a projected system.
 type Region = [f64; 6];
+
+/// Volumes and coordinate system of tilesets in a projected system; `None` unless all have the same.
+#[derive(Default)]
+struct OnMap {
+    crs: Value,
+    whole: Option<Region>,
+    parts: Vec<Region>,
+}
+
+impl OnMap {
+    fn of(tilesets: &[Value]) -> Option<Self> {
+        let mut all = Self::default();
+        for tileset in tilesets {
+            let crs = tileset["extensions"].get(ESRI_CRS)?;
+            let root = &tileset["root"];
+            let place = |point: Vector3<f64>| [point.x, point.y, point.z];
+            let part = extent(root, &root["extensions"][ESRI_CRS]["transform"], place)?;
+            if !all.parts.is_empty() && *crs != all.crs {
+                return None;
+            }
+            all.crs = crs.clone();
+            all.whole = Some(all.whole.map_or(part, |whole| united(whole, part)));
+            all.parts.push(part);
+        }
+        Some(all)
+    }
+}
+
+/// Box of an extent.
+fn volume([west, south, east, north, low, high]: Region) -> [f64; 12] {
+    let [x, y, z] = [(west, east), (south, north), (low, high)].map(|(a, b)| (0.5 * (a + b), 0.5 * (b - a)));
+    [x.0, y.0, z.0, x.1, 0.0, 0.0, 0.0, y.1, 0.0, 0.0, 0.0, z.1]
+}
 
 /// Writes a tileset that shows other tilesets, each with its address relative to the file and its own file.
 ///
@@ -17,47 +50,63 @@ type Region = [f64; 6];
 /// When a tileset cannot be read or is not one of ours, or the file cannot be written.
 pub fn join_tilesets(path: &Path, parts: &[(String, PathBuf)]) -> Result<(), ExportError> {
     let mut children = Vec::with_capacity(parts.len());
+    let mut tilesets = Vec::with_capacity(parts.len());
     let mut whole: Option<Region> = None;
     let mut coarsest: f64 = 0.0;
     for (uri, file) in parts {
         let damaged = |reason: &str| RasterError::Damaged(file.clone(), reason.to_owned());
         let text = bounded::read_text(file).map_err(|error| damaged(&error.to_string()))?;
         let tileset: Value = serde_json::from_str(&text).map_err(|error| damaged(&error.to_string()))?;
-        let region = region(&tileset["root"]).ok_or_else(|| damaged("it has no box on Earth"))?;
-        let error_m = tileset["root"]["geometricError"].as_f64().unwrap_or(0.0);
+        let root = &tileset["root"];
+        let region = extent(root, &root["transform"], on_earth).ok_or_else(|| damaged("it has no box on Earth"))?;
+        let error_m = root["geometricError"].as_f64().unwrap_or(0.0);
         coarsest = coarsest.max(tileset["geometricError"].as_f64().unwrap_or(error_m));
         whole = Some(whole.map_or(region, |whole| united(whole, region)));
         children.push(json!({
             "boundingVolume": {"region": region}, "geometricError": error_m, "content": {"uri": uri},
         }));
+        tilesets.push(tileset);
     }
     // A viewer loads the parts as soon as one of them is in sight.
     let error_m = coarsest * (parts.len().max(1) as f64).sqrt();
-    let tileset = json!({
+    let mut joined = json!({
         "asset": {"version": "1.1", "generator": GENERATOR},
         "geometricError": error_m,
-        "root": {
-            "boundingVolume": {"region": whole}, "geometricError": error_m, "refine": "ADD", "children": children,
-        },
+        "root": {"boundingVolume": {"region": whole}, "geometricError": error_m, "refine": "ADD"},
     });
-    Ok(write_atomically(path, format!("{tileset:#}\n").as_bytes())?)
+    if let Some(map) = OnMap::of(&tilesets)
+        && let Some(whole) = map.whole
+    {
+        let on_map = |region: Region| json!({ESRI_CRS: {"boundingVolume": {"box": volume(region)}}});
+        joined["extensionsUsed"] = json!([ESRI_CRS]);
+        joined["extensions"] = json!({ ESRI_CRS: map.crs });
+        joined["root"]["extensions"] = on_map(whole);
+        for (child, &part) in children.iter_mut().zip(&map.parts) {
+            child["extensions"] = on_map(part);
+        }
+    }
+    joined["root"]["children"] = json!(children);
+    Ok(write_atomically(path, format!("{joined:#}\n").as_bytes())?)
 }
 
-/// Region of a tile with a box and a transform to Earth-centred, Earth-fixed metres.
-fn region(tile: &Value) -> Option<Region> {
+/// Longitude and latitude in radians and altitude of a place in Earth-centred, Earth-fixed metres.
+fn on_earth(place: Vector3<f64>) -> [f64; 3] {
+    let geo = geo_from_ecef(place);
+    [geo.lon_deg.to_radians(), geo.lat_deg.to_radians(), geo.height_m]
+}
+
+/// Extent of the box of a tile after a transform, in the coordinates of `place`; `None` where it has no box.
+fn extent(tile: &Value, transform: &Value, place: impl Fn(Vector3<f64>) -> [f64; 3]) -> Option<Region> {
     let numbers = |value: &Value| -> Option<Vec<f64>> { value.as_array()?.iter().map(Value::as_f64).collect() };
     let volume = numbers(&tile["boundingVolume"]["box"]).filter(|volume| volume.len() == 12)?;
-    let transform = numbers(&tile["transform"]).filter(|matrix| matrix.len() == 16)?;
+    let transform = numbers(transform).filter(|matrix| matrix.len() == 16)?;
     let transform = Matrix4::from_column_slice(&transform);
     let mut region: Option<Region> = None;
     for corner in 0..8 {
-        let place = |k: usize| {
-            let side = |axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
-            volume[k] + (0..3).map(|axis| side(axis) * volume[3 + 3 * axis + k]).sum::<f64>()
-        };
-        let geo = geo_from_ecef((transform * Vector4::new(place(0), place(1), place(2), 1.0)).xyz());
-        let (lon, lat) = (geo.lon_deg.to_radians(), geo.lat_deg.to_radians());
-        let point = [lon, lat, lon, lat, geo.height_m, geo.height_m];
+        let side = |axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
+        let at = |k: usize| volume[k] + (0..3).map(|axis| side(axis) * volume[3 + 3 * axis + k]).sum::<f64>();
+        let [x, y, z] = place((transform * Vector4::new(at(0), at(1), at(2), 1.0)).xyz());
+        let point = [x, y, x, y, z, z];
         region = Some(region.map_or(point, |region| united(region, point)));
     }
     region
