@@ -196,9 +196,7 @@ impl Changes {
             surface.altitude[cell] = after_m;
             surface.above[cell] = after_m;
             if let Some(at) = sides[1].cell_at(p.x, p.y) {
-                surface.confidence[cell] = sides[1].confidence[at];
-                surface.deviation_m[cell] = sides[1].deviation_m[at];
-                surface.probability[cell] = sides[1].probability[at];
+                surface.take_facts(cell, &sides[1], at);
             }
             differences.push(after_m - before_m);
             let half_m = 0.5 * surface.cell_m;
@@ -558,6 +556,7 @@ mod tests {
             probability: vec![1.0; cells],
             matched: vec![true; cells],
             views: vec![2; cells],
+            base_to_height: vec![0.5; cells],
             filled: vec![false; cells],
             resolution_m: 0.5,
             ..Surface::default()
@@ -605,6 +604,17 @@ mod tests {
         changes.segments = vec![other; usize::from(u16::MAX)];
         changes.refine(&house([9]), &grid, &sides, &mut surface);
         assert_eq!(changes.at(2 * 16 + 2).map(|segment| segment.day), Some(5));
+    }
+
+    #[test]
+    fn a_place_where_images_of_two_states_disagree_is_known_by_those_of_the_new_one() {
+        let (mut changes, mut surface, sides, grid) = unchanged(16);
+        surface.matched = vec![false; surface.altitude.len()];
+        changes.refine(&house([9]), &grid, &sides, &mut surface);
+        let known: Vec<bool> = (0..surface.altitude.len()).map(|cell| surface.is_known(cell)).collect();
+        let changed: Vec<bool> = changes.label.iter().map(|label| *label > 0).collect();
+        assert!(changed[2 * 16 + 2]);
+        assert_eq!(known, changed);
     }
 
     #[test]

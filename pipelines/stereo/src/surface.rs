@@ -61,6 +61,17 @@ impl Surface {
         .all(|length| Some(length) == cells)
     }
 
+    /// Gives a cell the facts about a cell `at` of another surface, all but the altitudes.
+    pub(super) fn take_facts(&mut self, cell: usize, other: &Self, at: usize) {
+        self.confidence[cell] = other.confidence[at];
+        self.deviation_m[cell] = other.deviation_m[at];
+        self.probability[cell] = other.probability[at];
+        self.matched[cell] = other.matched[at];
+        self.views[cell] = other.views[at];
+        self.base_to_height[cell] = other.base_to_height[at];
+        self.filled[cell] = other.filled[at];
+    }
+
     /// True if the altitude of a cell is known: at least [`FEWEST_VIEWS`] views see it there and agree better than by
     /// chance, and its probability is at least that of all other altitudes together.
     pub fn is_known(&self, cell: usize) -> bool {
