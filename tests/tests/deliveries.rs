@@ -656,6 +656,32 @@ fn cameras_of_other_ground_are_refused() {
 }
 
 #[test]
+fn images_of_two_places_are_refused_unless_an_area_chooses_one() {
+    let home = tempdir().expect("a temporary folder");
+    let views = tagged(home.path());
+    for view in &views[..2] {
+        let own = view.rpc();
+        let moved = Rpc {
+            longitude_offset_deg: own.longitude_offset_deg + 0.5,
+            ..own
+        };
+        let there = home.path().join(format!("there_{}.tif", view.name));
+        fs::copy(home.path().join(format!("{}.tif", view.name)), &there).expect("copied");
+        retag(&there, Some(&moved), None, &[]);
+    }
+    let word = home.path().display().to_string();
+    for line in ["inspect", "dsm --from sweep --out x.tif"] {
+        let words: Vec<&str> = line.split(' ').chain([word.as_str()]).collect();
+        let said = fault(&words, 2);
+        assert!(said.contains("another place") && said.contains("44 km"), "{said}");
+    }
+    let (lon, lat) = (views[0].rpc().longitude_offset_deg, views[0].rpc().latitude_offset_deg);
+    let area = [lon - 0.0002, lat - 0.0002, lon + 0.0002, lat + 0.0002].map(|value| value.to_string());
+    let (_, seen) = inspected(home.path(), &["--area", &area.join(",")]);
+    assert_eq!(seen["images"].as_array().map(Vec::len), Some(3), "{seen}");
+}
+
+#[test]
 fn files_beside_images_are_read_by_our_own_readers() {
     let home = tempdir().expect("a temporary folder");
     let views = tagged(home.path());

@@ -111,6 +111,16 @@ pub enum SceneError {
         /// Altitude at which the footprints were compared, metres.
         altitude_m: f64,
     },
+    /// Images of two places.
+    #[error("{}: shows another place than {}, {apart_km:.0} km away; give the images of one place, or choose one with --area WEST,SOUTH,EAST,NORTH", second.display(), first.display())]
+    OtherPlace {
+        /// An image of one place.
+        first: PathBuf,
+        /// An image of the other.
+        second: PathBuf,
+        /// Distance, kilometres.
+        apart_km: f64,
+    },
     /// An altitude range that is empty or outside of the Earth's altitudes.
     #[error(
         "altitude range {low_m} to {high_m} m ({origin}) is not usable; give --altitude MIN,MAX in metres above the ellipsoid, MIN below MAX"

@@ -83,8 +83,11 @@ impl Cut {
         let (width, height) = first.image.size;
         let near = localise(first.image, width as f64 / 2.0, height as f64 / 2.0, altitude_m)?;
         let near = LocalFrame::new(near);
-        let mut images = overlapping(all, &near, altitude_m, warnings)?;
         let wanted = options.area.as_ref();
+        let mut images = overlapping(all, &near, altitude_m, warnings)?;
+        if wanted.is_none() {
+            one_place(&images, &near, altitude_m)?;
+        }
         let mut origin = match wanted {
             Some(wanted) => wanted.place(near.origin.height_m)?,
             None => middle_of(&training_footprints(&images, &near, altitude_m)?, &near),
@@ -382,6 +385,42 @@ fn overlapping<'a>(
         }
     }
     Ok(kept)
+}
+
+/// Distance between two images beside which their own ground is small, in sides of an image.
+const ANOTHER_PLACE: f64 = 3.0;
+
+/// Refuses images of two places: those of the first image, and others far from all of them. The ground of all images
+/// would be empty but for a small part.
+fn one_place(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<(), SceneError> {
+    let mut others = Vec::with_capacity(images.len());
+    for placed in images {
+        let footprint = footprint_of(placed.image, frame, altitude_m)?;
+        others.push((
+            placed,
+            footprint.centre().unwrap_or_default(),
+            footprint.area_m2().sqrt(),
+        ));
+    }
+    let mut reached = Vec::from_iter((!others.is_empty()).then(|| others.remove(0)));
+    let mut next = 0;
+    while let Some(&(_, at, side_m)) = reached.get(next) {
+        let is_near = |other: &(_, [f64; 2], f64)| {
+            (other.1[0] - at[0]).hypot(other.1[1] - at[1]) < ANOTHER_PLACE * side_m.max(other.2)
+        };
+        let (near, far) = others.into_iter().partition(is_near);
+        reached.extend::<Vec<_>>(near);
+        others = far;
+        next += 1;
+    }
+    let (Some(&(first, at, _)), Some(&(second, other, _))) = (reached.first(), others.first()) else {
+        return Ok(());
+    };
+    Err(SceneError::OtherPlace {
+        first: first.image.path.clone(),
+        second: second.image.path.clone(),
+        apart_km: (other[0] - at[0]).hypot(other[1] - at[1]) / 1000.0,
+    })
 }
 
 #[cfg(test)]
