@@ -80,6 +80,25 @@ fn an_image_and_its_json_are_one_camera() {
 }
 
 #[test]
+fn points_far_from_the_camera_are_named() {
+    let folder = tempdir().expect("a temporary folder");
+    let image = View::new(0).write(folder.path());
+    let image = image.to_str().expect("UTF-8");
+    let said = |lines: &str| {
+        let assert = heliosplat(&["rpc", "project", image])
+            .write_stdin(lines.to_owned())
+            .assert();
+        String::from_utf8_lossy(&assert.success().get_output().stderr).into_owned()
+    };
+    let warned = said("36.91 37.58 700\n37.58 36.91 700\n37.58 36.91 710\n");
+    assert!(
+        warned.contains("line 2 and 1 more") && warned.contains("lon lat alt"),
+        "{warned}"
+    );
+    assert!(!said("36.91 37.58 700\n").contains("far from"));
+}
+
+#[test]
 fn a_line_that_is_no_point_is_named() {
     let folder = tempdir().expect("a temporary folder");
     let image = View::new(0).write(folder.path());

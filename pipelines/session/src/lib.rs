@@ -5,7 +5,8 @@
 pub mod log;
 pub mod memory;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use std::fmt::Write;
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -107,7 +108,7 @@ impl Session {
     /// Starts one bar over `parts`, in their order with their expected shares of the time, in any unit. While the
     /// result lives, [`Self::progress`] moves this bar.
     pub fn whole(&self, label: &str, parts: &[(&'static str, f64)]) -> Whole {
-        let style = "{prefix} [{bar:30}] {percent} % left {eta} {msg}";
+        let style = "{prefix} [{bar:30}] {percent} % {left} {msg}";
         let bar = Arc::new(self.bar(label, ProgressBar::new(STEPS_OF_WHOLE as u64), style));
         let all: f64 = parts.iter().map(|(_, share)| share).sum();
         let mut end = 0.0;
@@ -152,7 +153,7 @@ impl Session {
         if std::io::stderr().is_terminal() && !self.is_quiet {
             let bar = log::BARS.add(bar);
             if let Ok(style) = ProgressStyle::with_template(style) {
-                bar.set_style(style.progress_chars("=> "));
+                bar.set_style(style.progress_chars("=> ").with_key("left", time_left));
             }
             bar.set_prefix(label.to_owned());
             bar.enable_steady_tick(Duration::from_millis(250));
@@ -169,6 +170,14 @@ impl Session {
             reported: AtomicU64::new(0),
         });
         Progress { bar, lines, part: None }
+    }
+}
+
+/// Writes the time left of a bar; nothing before its first step, when it is not known.
+fn time_left(state: &ProgressState, out: &mut dyn Write) {
+    if state.pos() > 0 {
+        // A bar that cannot be written is not shown.
+        let _ = write!(out, "left {:#}", HumanDuration(state.eta()));
     }
 }
 

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 pub struct EvaluateArgs {
     /// A run, measured against the truth of its scene
-    #[arg(value_name = "RUN", required_unless_present = "dsm", conflicts_with = "dsm")]
+    #[arg(value_name = "RUN", conflicts_with = "dsm")]
     pub run: Option<PathBuf>,
     /// A DSM
     #[arg(long, value_name = "FILE", requires = "truth")]

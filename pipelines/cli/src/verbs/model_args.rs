@@ -129,7 +129,7 @@ pub struct RelightArgs {
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Azimuth (clockwise from north) and elevation of the sun, degrees
-    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", required_unless_present_any = ["time", "light", "toward", "surroundings"], conflicts_with = "time")]
+    #[arg(long, value_parser = parse::sun, allow_hyphen_values = true, value_name = "AZ,EL", conflicts_with = "time")]
     pub sun: Option<SunPosition>,
     /// The sun of this moment, RFC 3339
     #[arg(long, value_parser = parse::time, value_name = "RFC3339")]

@@ -17,10 +17,10 @@ pub struct RpcArgs {
 /// From the ground to the image, or back.
 #[derive(Debug, Subcommand)]
 enum Direction {
-    /// Lines "lon lat alt" on stdin become lines "col row" on stdout
+    /// Lines "lon lat alt" on stdin become lines "col row" on stdout; 0 0 is the centre of the first pixel
     #[command(after_help = "Example: echo '36.91 37.58 700' | heliosplat rpc project image.tif")]
     Project(CameraArgs),
-    /// Lines "col row alt" on stdin become lines "lon lat" on stdout
+    /// Lines "col row alt" on stdin become lines "lon lat" on stdout; 0 0 is the centre of the first pixel
     #[command(after_help = "Example: echo '500 500 700' | heliosplat rpc localise image.RPB")]
     Localise(CameraArgs),
 }
@@ -50,7 +50,7 @@ pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
         Direction::Project(_) => project,
         Direction::Localise(_) => localise,
     };
-    let (mut points, mut lines) = (Vec::new(), Vec::new());
+    let (mut points, mut lines, mut strange) = (Vec::new(), Vec::new(), Vec::new());
     let mut stdin = std::io::stdin().lock();
     for number in 1.. {
         let mut line = String::new();
@@ -68,14 +68,37 @@ pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
         if line.trim().is_empty() {
             continue;
         }
-        let point = transform(&rpc, three_numbers(&line).map_err(fault)?).map_err(fault)?;
+        let given = three_numbers(&line).map_err(fault)?;
+        if matches!(args.direction, Direction::Project(_)) && is_far(&rpc, given) {
+            strange.push(number);
+        }
+        let point = transform(&rpc, given).map_err(fault)?;
         lines.push(format!("{} {}", digits17(point[0]), digits17(point[1])));
         points.push(point);
+    }
+    if let Some(first) = strange.first() {
+        tracing::warn!(
+            "stdin line {first}{}: far from the ground that the camera describes; lines are lon lat alt",
+            match strange.len() {
+                1 => String::new(),
+                count => format!(" and {} more", count - 1),
+            }
+        );
     }
     Ok(Outcome {
         json: serde_json::json!({ "points": points }),
         text: lines.join("\n"),
     })
+}
+
+/// Half widths of a camera's validity range beyond which its polynomials mean nothing.
+const FAR: f64 = 2.0;
+
+/// True for a point far outside of the ground that a camera describes, such as one with exchanged coordinates.
+fn is_far(rpc: &Rpc, [lon_deg, lat_deg, _]: [f64; 3]) -> bool {
+    let east_deg = (lon_deg - rpc.longitude_offset_deg + 180.0).rem_euclid(360.0) - 180.0;
+    let north_deg = lat_deg - rpc.latitude_offset_deg;
+    (east_deg / rpc.longitude_scale_deg).abs() > FAR || (north_deg / rpc.latitude_scale_deg).abs() > FAR
 }
 
 fn project(rpc: &Rpc, [lon_deg, lat_deg, height_m]: [f64; 3]) -> Result<[f64; 2], String> {

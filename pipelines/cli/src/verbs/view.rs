@@ -12,7 +12,7 @@ use std::process::{Command, Stdio};
 #[derive(Debug, Clone, Args)]
 pub struct ViewArgs {
     /// A finished run of a satellite scene, or the mosaic of a batch
-    #[arg(value_name = "RUN", required_unless_present = "dsm", conflicts_with = "dsm")]
+    #[arg(value_name = "RUN", conflicts_with = "dsm")]
     pub run: Option<PathBuf>,
     /// Surface model to show instead of a run's
     #[arg(long, value_name = "FILE")]
