@@ -6,6 +6,7 @@
 //! file is opened.
 
 use gdal::{Driver, DriverManager, config};
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 /// Erdas Imagine. The pixels of such a file may be in another folder, so that it is checked before GDAL opens it.
@@ -58,6 +59,12 @@ pub(super) fn restrict() {
             tracing::debug!("GDAL takes no options");
         }
     }
+    let carried = std::env::current_exe().ok().and_then(|program| carried_data(&program));
+    if let Some(data) = carried.filter(|_| std::env::var_os("GDAL_DATA").is_none())
+        && config::set_config_option("GDAL_DATA", &data.to_string_lossy()).is_err()
+    {
+        tracing::debug!("GDAL takes no folder of data");
+    }
     if let Ok(driver) = DriverManager::get_driver_by_name("MEM") {
         // SAFETY: the pointer is not used for anything but `memory` below.
         MEMORY.get_or_init(|| unsafe { driver.c_driver() } as usize);
@@ -69,6 +76,13 @@ pub(super) fn restrict() {
             DriverManager::deregister_driver(&driver);
         }
     }
+}
+
+/// GDAL's data in a portable package (`scripts/portable.sh`), which carries the libraries beside the folder of
+/// `program`. PROJ finds its own data, because they are beside its library.
+fn carried_data(program: &Path) -> Option<PathBuf> {
+    let data = program.parent()?.parent()?.join("lib/heliosplat/share/gdal");
+    data.is_dir().then_some(data)
 }
 
 fn is_registered(name: &str) -> bool {
@@ -101,5 +115,17 @@ mod tests {
             assert!(is_registered(&name), "{name}");
         }
         assert_eq!(memory().expect("in memory").short_name(), "MEM");
+    }
+
+    #[test]
+    fn a_portable_package_carries_the_data_of_gdal() {
+        let package = tempfile::tempdir().expect("a folder");
+        let (program, data) = (
+            package.path().join("bin/heliosplat"),
+            package.path().join("lib/heliosplat/share/gdal"),
+        );
+        assert_eq!(carried_data(&program), None);
+        std::fs::create_dir_all(&data).expect("a folder");
+        assert_eq!(carried_data(&program), Some(data));
     }
 }

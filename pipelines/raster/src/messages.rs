@@ -3,6 +3,7 @@
 use gdal::config::set_error_handler;
 use gdal::errors::CplErrType;
 use std::cell::RefCell;
+use std::path::Path;
 use std::sync::Once;
 
 thread_local! {
@@ -36,11 +37,16 @@ const PATIENCE: [(&str, &str); 4] = [
     ("GDAL_HTTP_RETRY_DELAY", "0.5"),
 ];
 
+/// Option and file of the certificates of Debian and its kin; a libcurl that was built elsewhere does not find them.
+const CERTIFICATES: (&str, &str) = ("SSL_CERT_FILE", "/etc/ssl/certs/ca-certificates.crt");
+
 /// Enables GDAL's remote file systems for this process, because the user named a path on one.
 pub fn allow_network() {
     install();
     let mut done = gdal::config::clear_config_option("CPL_VSIL_CURL_ALLOWED_FILENAME");
-    for (key, value) in PATIENCE.iter().filter(|(key, _)| std::env::var_os(key).is_none()) {
+    let certificates = Some(&CERTIFICATES).filter(|(_, file)| Path::new(file).exists());
+    let options = PATIENCE.iter().chain(certificates);
+    for (key, value) in options.filter(|(key, _)| std::env::var_os(key).is_none()) {
         done = done.and(gdal::config::set_config_option(key, value));
     }
     if done.is_err() {
