@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Makes a Debian package and a tarball of the program in target/release, with manual pages and completions of shells.
+# Makes a Debian package of the program in target/release, with manual pages and completions of shells.
 #
 # Usage: scripts/package.sh [OUT]     (default: target/packages; build the program first: make build)
 #
-# The package depends on the shared libraries that the program was linked to here, so it fits the release of Debian or Ubuntu it was made on.
-# The tarball needs the same libraries (GDAL and PROJ); INSTALL in it says which. The same program gives the same bytes.
+# The package depends on the shared libraries that the program was linked to here, so it fits the release of Debian or Ubuntu it was made on;
+# scripts/portable.sh makes packages for other systems. The same program gives the same bytes.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -18,32 +18,9 @@ work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 umask 022
 
-# What both hold.
-tree="$work/tree"
-install -D -m 755 -s "$PROGRAM" "$tree/bin/heliosplat"
-mkdir -p "$tree/share/man/man1"
-"$PROGRAM" man --out "$tree/share/man/man1" >/dev/null
-find "$tree/share/man" -type f -exec gzip -9n {} +
-for shell in bash zsh fish; do
-  case $shell in
-    bash) place=bash-completion/completions/heliosplat ;;
-    zsh) place=zsh/vendor-completions/_heliosplat ;;
-    fish) place=fish/vendor_completions.d/heliosplat.fish ;;
-  esac
-  mkdir -p "$(dirname "$tree/share/$place")"
-  "$PROGRAM" completions "$shell" >"$tree/share/$place"
-done
-doc="$tree/share/doc/heliosplat"
-mkdir -p "$doc"
-gzip -9nc CHANGELOG.md >"$doc/changelog.gz"
-cp -r docs/guide "$doc/guide"
-cat LICENSE-MIT - LICENSE-APACHE >"$doc/copyright" <<<'
----- or, at your choice ----
-'
-
-# The Debian package.
 mkdir -p "$work/debian" "$work/package/DEBIAN" "$OUT"
-cp -r "$tree" "$work/package/usr"
+install -D -m 755 -s "$PROGRAM" "$work/package/usr/bin/heliosplat"
+scripts/tree.sh "$work/package/usr"
 printf 'Source: heliosplat\n\nPackage: heliosplat\nArchitecture: any\n' >"$work/debian/control"
 depends=$(cd "$work" && dpkg-shlibdeps -O package/usr/bin/heliosplat 2>/dev/null | sed -n 's/^shlibs:Depends=//p')
 cat >"$work/package/DEBIAN/control" <<CONTROL
@@ -65,16 +42,4 @@ CONTROL
 deb="$OUT/heliosplat_${version}_$architecture.deb"
 dpkg-deb --root-owner-group --build "$work/package" "$deb.part" >/dev/null
 mv "$deb.part" "$deb"
-
-# The tarball.
-name="heliosplat-$version-linux-$(uname -m)"
-mv "$tree" "$work/$name"
-cat >"$work/$name/INSTALL" <<TEXT
-Copy bin and share into /usr/local or into ~/.local. The program needs these packages of $(. /etc/os-release && echo "$PRETTY_NAME"):
-$depends
-TEXT
-cp LICENSE-MIT LICENSE-APACHE README.md "$work/$name"
-tarball="$OUT/$name.tar.gz"
-tar -C "$work" --sort=name --owner=0 --group=0 --numeric-owner --mtime="@$SOURCE_DATE_EPOCH" -cf - "$name" | gzip -9n >"$tarball.part"
-mv "$tarball.part" "$tarball"
-ls -l "$deb" "$tarball"
+ls -l "$deb"

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes the files of a release: .deb, tarball, wheel, and their SHA-256 sums, in target/release-files. Publishes nothing.
+# Makes the files of a release: .deb, portable tarball and wheel, and their SHA-256 sums, in target/release-files. Publishes nothing.
 #
 # Usage: scripts/release.sh VERSION     (as in Cargo.toml; CHANGELOG.md and CITATION.cff must have it too)
 set -euo pipefail
@@ -17,5 +17,5 @@ readonly OUT=target/release-files
 rm -rf "$OUT"
 make build
 scripts/package.sh "$OUT"
-scripts/wheel.sh "$OUT"
+scripts/portable.sh "$OUT"
 (cd "$OUT" && sha256sum -- * >SHA256SUMS && cat SHA256SUMS)

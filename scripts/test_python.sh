@@ -28,8 +28,7 @@ python3 -m venv "$EMPTY"
 "$EMPTY/bin/pip" install --quiet --disable-pip-version-check "$wheel[test]" rpcm mypy
 
 if [ -x target/release/heliosplat ]; then
-  # The one that came with the wheel.
-  export HELIOSPLAT="$PWD/$EMPTY/bin/heliosplat" HELIOSPLAT_TEST_RUN="$PWD/target/python/run"
+  export HELIOSPLAT="$PWD/target/release/heliosplat" HELIOSPLAT_TEST_RUN="$PWD/target/python/run"
   if [ ! -d "$HELIOSPLAT_TEST_RUN/products" ]; then
     rm -rf "$HELIOSPLAT_TEST_RUN" target/python/scene
     "$HELIOSPLAT" synth satellite --site tiny --views 4 --seed 1 --out target/python/scene >/dev/null
