@@ -10,7 +10,8 @@
 //!
 //! **Gauge.** Images do not determine a common translation of the scene (three unknowns). Of all corrections that fit
 //! equally well, [`smallest_shifts`] selects the smallest. With two views, only the shift across their epipolar lines
-//! remains. Rotation and drift have a prior of [`SLOPE_SIGMA_PX`], so that weak ties cannot inflate them.
+//! remains. Rotation and drift have a prior of [`SLOPE_SIGMA_PX`], so that weak ties cannot inflate them. Of drifts along
+//! the rows, [`BiasModel::Drift`] selects the fewest.
 //!
 //! **Terms.** A track is one tie point: a ground point visible in several images. A sighting is its position in one of
 //! them.
@@ -19,6 +20,7 @@
 //! the translation of the gauge.
 
 mod correction;
+mod drift;
 mod export;
 mod gauge;
 mod linear;
@@ -59,5 +61,6 @@ pub fn adjust(
     match options.model {
         BiasModel::Translation => problem.adjust::<2>(options),
         BiasModel::Affine => problem.adjust::<6>(options),
+        BiasModel::Drift => problem.adjust_drifts(options),
     }
 }

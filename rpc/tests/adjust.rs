@@ -89,6 +89,16 @@ fn tracks(cameras: &[Rpc], count: usize, seen: &mut dyn FnMut(ImagePoint) -> Ima
         .collect()
 }
 
+/// Sightings with the noise and the mismatches of real ties: a quarter are off by pixels, all of those one way.
+fn as_matched(numbers: &mut Numbers, at: ImagePoint) -> ImagePoint {
+    let wrong = numbers.next() > 0.5;
+    let off = if wrong { [3.0 + numbers.next(), 2.0] } else { [0.0; 2] };
+    ImagePoint::new(
+        at.col + 0.15 * numbers.normal() + off[0],
+        at.row + 0.15 * numbers.normal() + off[1],
+    )
+}
+
 fn images(cameras: &[Rpc]) -> Vec<AdjustImage<'_>> {
     let image = |rpc| AdjustImage {
         rpc,
@@ -203,15 +213,8 @@ fn noise_averages_out_and_outliers_have_no_say() {
     let biases_px = biases(6, &mut Numbers(2));
     let delivered = biased(&cameras, &biases_px);
     let mut numbers = Numbers(3);
-    // A quarter of the sightings are off by pixels, and all of those one way: a plain mean would be off by 0.75 px.
-    let mut seen = |at: ImagePoint| {
-        let wrong = numbers.next() > 0.5;
-        let off = if wrong { [3.0 + numbers.next(), 2.0] } else { [0.0; 2] };
-        ImagePoint::new(
-            at.col + 0.15 * numbers.normal() + off[0],
-            at.row + 0.15 * numbers.normal() + off[1],
-        )
-    };
+    // A plain mean would be off by 0.75 px.
+    let mut seen = |at: ImagePoint| as_matched(&mut numbers, at);
     let tracks = tracks(&cameras, 500, &mut seen);
     let found = adjusted(&delivered, &tracks, BiasModel::Translation);
     let error_px = largest_error_px(&delivered, &found, &biases_px);
@@ -286,6 +289,65 @@ fn rotation_and_drift_are_found_where_they_are_allowed() {
         (slope[0][1] + 0.5).abs() < 0.25 && (slope[1][0] - 0.5).abs() < 0.25,
         "{slope:?}"
     );
+}
+
+#[test]
+fn a_drift_along_the_rows_is_found_in_its_image_alone() {
+    let cameras = cameras(6);
+    for (seed, drift_px) in [(1, [3.0, 0.0]), (2, [0.0, -3.0]), (3, [1.0, 0.5]), (4, [0.4, -0.3])] {
+        let mut numbers = Numbers(seed);
+        let biases_px = biases(6, &mut numbers);
+        let delivered = biased(&cameras, &biases_px);
+        let mut tracks = tracks(&cameras, 500, &mut |at| as_matched(&mut numbers, at));
+        for at in tracks.iter_mut().map(|track| &mut track.sightings[2].at) {
+            let share = at.row / SIZE as f64 - 0.5;
+            *at = ImagePoint::new(at.col + drift_px[0] * share, at.row + drift_px[1] * share);
+        }
+        let found = adjusted(&delivered, &tracks, BiasModel::Drift);
+        assert_eq!(found.model, BiasModel::Drift);
+        for (image, correction) in found.corrections.iter().enumerate() {
+            assert_eq!(
+                correction.is_translation(),
+                image != 2,
+                "{seed}, image {image}: {correction:?}"
+            );
+        }
+        let Correction {
+            slope_px, half_side_px, ..
+        } = found.corrections[2];
+        for axis in 0..2 {
+            let over_image_px = slope_px[axis][1] / half_side_px * SIZE as f64;
+            assert!(
+                (over_image_px - drift_px[axis]).abs() < 0.1,
+                "{seed}: {over_image_px} px"
+            );
+        }
+    }
+}
+
+#[test]
+fn ties_without_drift_show_none() {
+    let cameras = cameras(6);
+    for seed in 0..20 {
+        let mut numbers = Numbers(seed);
+        let delivered = biased(&cameras, &biases(6, &mut numbers));
+        let tracks = tracks(&cameras, 500, &mut |at| as_matched(&mut numbers, at));
+        let found = adjusted(&delivered, &tracks, BiasModel::Drift);
+        assert_eq!(found, adjusted(&delivered, &tracks, BiasModel::Translation), "{seed}");
+    }
+}
+
+#[test]
+fn a_few_ties_far_from_the_others_show_no_drift() {
+    let cameras = cameras(4);
+    let mut tracks = tracks(&cameras, 200, &mut |at| at);
+    tracks.sort_by(|a, b| a.sightings[2].at.row.total_cmp(&b.sightings[2].at.row));
+    // Ties of the first rows and five of the last, which are off by pixels.
+    let mut few = tracks[..100].to_vec();
+    few.extend_from_slice(&tracks[195..]);
+    few[100..].iter_mut().for_each(|track| track.sightings[2].at.row += 1.5);
+    let found = adjusted(&cameras, &few, BiasModel::Drift);
+    assert_eq!(found.model, BiasModel::Translation);
 }
 
 #[test]

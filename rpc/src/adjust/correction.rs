@@ -12,22 +12,25 @@ pub enum BiasModel {
     Translation,
     /// A shift that changes linearly over the image: rotation, scale, drift.
     Affine,
+    /// A shift that changes linearly along the rows of the images whose ties show it, and a shift of each other image.
+    #[cfg_attr(feature = "clap", value(skip))]
+    Drift,
 }
 
 /// Offset of a camera's projections.
 ///
-/// With `u` and `v` the column and row from the image's centre in units of half its longer side:
+/// With `u` and `v` the column and row from [`Self::centre`] in units of [`Self::half_side_px`]:
 /// `col += shift_px[0] + slope_px[0][0] u + slope_px[0][1] v`, `row` likewise with the second entries.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Correction {
-    /// Offset of columns and rows at the image's centre, pixels.
+    /// Offset of columns and rows at the centre, pixels.
     pub shift_px: [f64; 2],
     /// Change of the correction of columns (first) and rows (second) from the centre to the edge, along columns and
     /// rows, pixels.
     pub slope_px: [[f64; 2]; 2],
-    /// The image's centre, pixels.
+    /// The image's centre, pixels; with a drift its row is the middle of the rows that ties show.
     pub centre: ImagePoint,
-    /// Half the image's longer side, pixels.
+    /// Half the image's longer side, pixels; with a drift half the length of the rows that ties show.
     pub half_side_px: f64,
 }
 
@@ -59,7 +62,7 @@ impl Correction {
         self.slope_px == [[0.0; 2]; 2]
     }
 
-    /// Column and row from the image's centre, in units of half its longer side.
+    /// Column and row from the centre, in units of `half_side_px`.
     pub(super) fn half_sides_from_centre(&self, at: ImagePoint) -> [f64; 2] {
         [
             (at.col - self.centre.col) / self.half_side_px,

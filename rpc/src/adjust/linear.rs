@@ -20,8 +20,12 @@ pub(super) struct Linear {
     pub(super) from_centre: [f64; 2],
 }
 
+/// Places of a correction's parameters after the shifts: axis and direction of [`super::Correction::slope_px`]. Those
+/// along the rows are first, so that a drift has the first four parameters.
+pub(super) const SLOPES: [[usize; 2]; 4] = [[0, 1], [1, 1], [0, 0], [1, 0]];
+
 /// Derivative of the image position by a correction's parameters at `u`, `v`, half sides from the centre.
 pub(super) fn basis<const K: usize>([u, v]: [f64; 2]) -> SMatrix<f64, 2, K> {
-    let all = SMatrix::<f64, 2, 6>::new(1.0, 0.0, u, v, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, u, v);
+    let all = SMatrix::<f64, 2, 6>::new(1.0, 0.0, v, 0.0, u, 0.0, 0.0, 1.0, 0.0, v, 0.0, u);
     all.fixed_columns::<K>(0).into_owned()
 }

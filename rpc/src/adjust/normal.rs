@@ -2,7 +2,7 @@
 //! unknowns per image.
 
 use super::correction::Correction;
-use super::linear::{Linear, POINT_HOLD, basis};
+use super::linear::{Linear, POINT_HOLD, SLOPES, basis};
 use crate::rpc::RpcError;
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVector, Vector3};
 
@@ -32,8 +32,8 @@ pub(super) struct NormalEquations<const K: usize> {
 }
 
 impl<const K: usize> NormalEquations<K> {
-    /// The system at the corrections `now`; `seen` marks the images with enough sightings to be corrected.
-    pub(super) fn of(linear: &[Vec<Linear>], weights: &[Vec<f64>], now: &[Correction], seen: &[bool]) -> Self {
+    /// The system at the corrections `now`; `free` is the number of parameters that each image may have.
+    pub(super) fn of(linear: &[Vec<Linear>], weights: &[Vec<f64>], now: &[Correction], free: &[usize]) -> Self {
         let unknowns = K * now.len();
         let mut system = Self {
             curvature: DMatrix::zeros(unknowns, unknowns),
@@ -45,7 +45,7 @@ impl<const K: usize> NormalEquations<K> {
             system.tracks.push(eliminated);
         }
         for (image, correction) in now.iter().enumerate() {
-            system.add_prior(image, correction, seen[image]);
+            system.add_prior(image, correction, free[image]);
         }
         system
     }
@@ -84,12 +84,12 @@ impl<const K: usize> NormalEquations<K> {
         })
     }
 
-    /// Keeps corrections small where ties are weak, and those of images with too few sightings at zero.
-    fn add_prior(&mut self, image: usize, now: &Correction, seen: bool) {
-        let [s, l] = now.slope_px;
-        let values = [now.shift_px[0], now.shift_px[1], s[0], s[1], l[0], l[1]];
-        for place in 0..K {
-            let sigma_px = match (seen, place < 2) {
+    /// Keeps corrections small where ties are weak, and parameters that are not free at zero.
+    fn add_prior(&mut self, image: usize, now: &Correction, free: usize) {
+        let slopes = SLOPES.map(|[axis, along]| now.slope_px[axis][along]);
+        let values = now.shift_px.iter().chain(&slopes).take(K);
+        for (place, value) in values.enumerate() {
+            let sigma_px = match (place < free, place < 2) {
                 (false, _) => 1e-6,
                 (true, true) => SHIFT_SIGMA_PX,
                 (true, false) => SLOPE_SIGMA_PX,
@@ -97,8 +97,24 @@ impl<const K: usize> NormalEquations<K> {
             let weight = (SIGHTING_SIGMA_PX / sigma_px).powi(2);
             let at = image * K + place;
             self.curvature[(at, at)] += weight;
-            self.gradient[at] -= weight * values[place];
+            self.gradient[at] -= weight * value;
         }
+    }
+
+    /// Weighted sum of squared residuals with every point at its best place.
+    pub(super) fn squares(&self, linear: &[Vec<Linear>], weights: &[Vec<f64>]) -> f64 {
+        let of_track = |((lines, weights), track): ((&Vec<Linear>, &Vec<f64>), &Option<Eliminated<K>>)| {
+            let track = track.as_ref()?;
+            let lines = lines.iter().zip(weights);
+            let squares: f64 = lines.map(|(line, weight)| line.residual.norm_squared() * weight).sum();
+            Some(squares - track.gradient.dot(&(track.inverse * track.gradient)))
+        };
+        linear.iter().zip(weights).zip(&self.tracks).filter_map(of_track).sum()
+    }
+
+    /// Curvature and gradient of half the sum of squares by the parameters of the images.
+    pub(super) fn into_parts(self) -> (DMatrix<f64>, DVector<f64>) {
+        (self.curvature, self.gradient)
     }
 
     /// Steps of the images' parameters, and their joint length; `points` are moved by their own steps. The length is
@@ -151,7 +167,7 @@ mod tests {
         let mut points = [Vector3::zeros(); 2];
         // The image is held, so that points alone move.
         let now = [Correction::none(100, 100)];
-        let system = NormalEquations::<2>::of(&[singular, sound], &weights, &now, &[false]);
+        let system = NormalEquations::<2>::of(&[singular, sound], &weights, &now, &[0]);
         let _ = system.solve(&mut points).expect("a solution");
         assert_eq!(points[0], Vector3::zeros());
         assert!((points[1] - Vector3::x()).norm() < 1e-3, "{}", points[1]);

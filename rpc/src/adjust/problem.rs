@@ -2,8 +2,9 @@
 //! all tracks.
 
 use super::correction::{BiasModel, Correction};
+use super::drift::{self, Quadratic};
 use super::gauge::{pixels_per_metre, smallest_shifts};
-use super::linear::{Linear, POINT_HOLD};
+use super::linear::{Linear, POINT_HOLD, SLOPES};
 use super::normal::NormalEquations;
 use super::residuals::{self, Sides};
 use super::robust;
@@ -38,12 +39,22 @@ pub(super) struct BlockAdjustment<'a> {
     seen: Vec<bool>,
 }
 
-/// Adds a step of the solver to a correction.
-fn add<const K: usize>(correction: &mut Correction, step: &SVector<f64, K>) {
+/// Result of the rounds.
+struct Solution {
+    corrections: Vec<Correction>,
+    points: Vec<Vector3<f64>>,
+    weights: Vec<Vec<f64>>,
+    sigma_px: f64,
+    rounds: usize,
+    converged: bool,
+}
+
+/// Adds a step of the solver to a correction with `free` parameters.
+fn add<const K: usize>(correction: &mut Correction, step: &SVector<f64, K>, free: usize) {
     correction.shift_px[0] += step[0];
     correction.shift_px[1] += step[1];
-    for (place, value) in step.iter().skip(2).enumerate() {
-        correction.slope_px[place / 2][place % 2] += value;
+    for ([axis, along], value) in SLOPES.into_iter().zip(step.iter().take(free).skip(2)) {
+        correction.slope_px[axis][along] += value;
     }
 }
 
@@ -85,9 +96,57 @@ impl<'a> BlockAdjustment<'a> {
         self.images.iter().map(none).collect()
     }
 
-    /// All rounds, the gauge, and the residuals before and after.
+    /// Number of parameters of each image of which as many as `most` are allowed; none with too few sightings.
+    fn free(&self, most: usize) -> Vec<usize> {
+        self.seen.iter().map(|&seen| most * usize::from(seen)).collect()
+    }
+
+    /// Corrections of one model for all images.
     pub(super) fn adjust<const K: usize>(&self, options: AdjustOptions) -> Result<Adjustment, RpcError> {
-        let mut corrections = self.no_corrections();
+        let solution = self.solve::<K>(self.no_corrections(), &self.free(K), options)?;
+        self.finish(solution, options.model)
+    }
+
+    /// Corrections with a drift for the images whose ties show it; [`BiasModel::Translation`] if none do.
+    pub(super) fn adjust_drifts(&self, options: AdjustOptions) -> Result<Adjustment, RpcError> {
+        let spans = drift::spans(&self.no_corrections(), &self.tracks);
+        let begin = |drifts: &[bool]| -> (Vec<Correction>, Vec<usize>) {
+            let images = (self.no_corrections().into_iter().zip(self.free(2))).zip(spans.iter().zip(drifts));
+            images
+                .map(|((none, free), (span, drifts))| match span.filter(|_| *drifts) {
+                    Some(span) => (span, free + 2),
+                    None => (none, free),
+                })
+                .unzip()
+        };
+        let may: Vec<bool> = spans.iter().map(Option::is_some).collect();
+        let (start, free) = begin(&may);
+        // Ties that leave drifts open show none.
+        let drifts = match self.solve::<4>(start, &free, options) {
+            Ok(all) => {
+                let linear = self.linearised(&all.corrections, &all.points)?;
+                let good = good_weights(&linear, all.sigma_px);
+                Quadratic::of(&linear, &good, &all.corrections, &free).drifting(&may)
+            }
+            Err(_) => vec![false; may.len()],
+        };
+        if !drifts.contains(&true) {
+            let model = BiasModel::Translation;
+            return self.adjust::<2>(AdjustOptions { model, ..options });
+        }
+        let (start, free) = begin(&drifts);
+        let solution = self.solve::<4>(start, &free, options)?;
+        self.finish(solution, options.model)
+    }
+
+    /// All rounds from `start`, where every image has as many free parameters as `free` states.
+    fn solve<const K: usize>(
+        &self,
+        start: Vec<Correction>,
+        free: &[usize],
+        options: AdjustOptions,
+    ) -> Result<Solution, RpcError> {
+        let mut corrections = start;
         let mut points: Vec<Vector3<f64>> = self
             .tracks
             .iter()
@@ -106,11 +165,11 @@ impl<'a> BlockAdjustment<'a> {
                 }
                 weights = reweighted(&linear, sigma_px);
             }
-            let system = NormalEquations::<K>::of(&linear, &weights, &corrections, &self.seen);
+            let system = NormalEquations::<K>::of(&linear, &weights, &corrections, free);
             let (steps, length) = system.solve(&mut points)?;
             let mut largest: f64 = 0.0;
-            for (correction, step) in corrections.iter_mut().zip(&steps) {
-                add(correction, step);
+            for ((correction, step), free) in corrections.iter_mut().zip(&steps).zip(free) {
+                add(correction, step, *free);
                 largest = largest.max(step.amax());
             }
             let has_stopped = largest < LAST_CHANGE_PX;
@@ -120,6 +179,26 @@ impl<'a> BlockAdjustment<'a> {
             }
             moved = length;
         }
+        Ok(Solution {
+            corrections,
+            points,
+            weights,
+            sigma_px,
+            rounds,
+            converged,
+        })
+    }
+
+    /// The gauge, and the residuals before and after.
+    fn finish(&self, solution: Solution, model: BiasModel) -> Result<Adjustment, RpcError> {
+        let Solution {
+            mut corrections,
+            mut points,
+            weights,
+            sigma_px,
+            rounds,
+            converged,
+        } = solution;
         self.fix_gauge(&mut corrections, &mut points);
         self.triangulate(&corrections, &weights, &mut points)?;
         let mut before = points.clone();
@@ -130,11 +209,7 @@ impl<'a> BlockAdjustment<'a> {
             sigma_px,
         };
         Ok(Adjustment {
-            model: if K > 2 {
-                BiasModel::Affine
-            } else {
-                BiasModel::Translation
-            },
+            model,
             points: points.iter().map(|point| self.frame.geo_from_enu(*point)).collect(),
             sigma_px,
             rounds,
@@ -255,6 +330,19 @@ fn distance_left(before: f64, last: f64) -> f64 {
 
 fn own_weights(track: &Track) -> Vec<f64> {
     track.sightings.iter().map(|sighting| sighting.weight).collect()
+}
+
+/// Own weights of the good sightings, zero for the others.
+fn good_weights(linear: &[Vec<Linear>], sigma_px: f64) -> Vec<Vec<f64>> {
+    let of_track = |track: &Vec<Linear>| {
+        let lengths_px = robust::lengths_px(track).into_iter();
+        let weight = |(line, length_px): (&Linear, f64)| match robust::is_good(length_px, sigma_px) {
+            true => line.weight,
+            false => 0.0,
+        };
+        track.iter().zip(lengths_px).map(weight).collect()
+    };
+    linear.iter().map(of_track).collect()
 }
 
 fn reweighted(linear: &[Vec<Linear>], sigma_px: f64) -> Vec<Vec<f64>> {

@@ -10,7 +10,7 @@ const QUARTER_AT: f64 = 1.0;
 /// Largest residual of a good sighting, in standard deviations.
 const GOOD_TO: f64 = 3.0;
 /// Least standard deviation, pixels: the best precision of matching.
-const LEAST_SIGMA_PX: f64 = 0.03;
+pub(super) const LEAST_SIGMA_PX: f64 = 0.03;
 /// Median over standard deviation of the length of a normal residual in two directions.
 const MEDIAN_OF_LENGTH: f64 = 1.1774;
 
