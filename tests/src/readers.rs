@@ -13,9 +13,11 @@ use heliosplat_objects::model::ObjectFile;
 use heliosplat_objects::run::ObjectRun;
 use heliosplat_objects::{camera_table, colmap, points, transforms};
 use heliosplat_products::{model::ModelFile, ply};
+use heliosplat_rpc::adjust::{Sighting, Track};
 use heliosplat_rpc::read::{self, acquisition};
-use heliosplat_rpc::{ImagePoint, Rpc, write};
+use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc, write};
 use heliosplat_satellite::config::SatelliteConfig;
+use heliosplat_satellite::patch_ties::PatchTies;
 use heliosplat_satellite::run_file::RunFile;
 use heliosplat_scene as scene;
 use std::collections::BTreeMap;
@@ -32,7 +34,7 @@ pub struct Reader {
 }
 
 /// All readers.
-pub const READERS: [Reader; 19] = [
+pub const READERS: [Reader; 20] = [
     Reader {
         name: "camera_text",
         read: camera_text,
@@ -117,6 +119,11 @@ pub const READERS: [Reader; 19] = [
         name: "tile_list",
         read: tile_list,
         corpus: tile_lists,
+    },
+    Reader {
+        name: "patch_ties",
+        read: patch_ties,
+        corpus: ties,
     },
     Reader {
         name: "raster_file",
@@ -273,6 +280,25 @@ pub fn object_toml(bytes: &[u8]) -> bool {
 /// Reads the manifest of a batch.
 pub fn batch_toml(bytes: &[u8]) -> bool {
     Manifest::parse(&text(bytes)).is_ok()
+}
+
+/// Reads the ties of a batch's unit.
+pub fn patch_ties(bytes: &[u8]) -> bool {
+    PatchTies::from_bytes(bytes).is_some()
+}
+
+fn ties() -> Vec<Vec<u8>> {
+    let sighting = |image| Sighting {
+        image,
+        at: ImagePoint::new(120.25, 3000.5),
+        weight: 0.5,
+    };
+    let track = Track {
+        near: GeoPoint::new(36.9, 37.5, 700.0),
+        sightings: vec![sighting(0), sighting(300)],
+    };
+    let ties = PatchTies(vec![vec![track.clone(), track], Vec::new()]);
+    vec![ties.to_bytes().expect("written")]
 }
 
 /// Reads Maxar's `.TIL`, and the files that a DIMAP lists.

@@ -1,5 +1,6 @@
 //! Units of a batch, in an order in which they can run.
 
+mod cameras;
 mod joint;
 
 use super::BatchError;
@@ -11,10 +12,9 @@ use heliosplat_raster::Geoid;
 use heliosplat_raster::bounded::read_bytes;
 use heliosplat_raster::write::write_atomically;
 use heliosplat_satellite::altitude;
-use heliosplat_satellite::config::{Align, SatelliteConfig};
-use heliosplat_satellite::estimate::sweep_estimate;
+use heliosplat_satellite::config::Align;
 use heliosplat_scene::survey::Survey;
-use heliosplat_scene::{AreaRequest, Hashes, Index, IngestOptions, Seen, seen};
+use heliosplat_scene::{AreaRequest, Hashes, Index, IngestOptions, RpcPreference, Seen, seen};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,10 +27,6 @@ const LEAST_S: f64 = 5.0;
 const STEP_S_PER_GAUSSIAN: f64 = 1.8e-6;
 /// Folder of a tile's training, below the folder of the tile.
 pub const RUN: &str = "run";
-/// Name of the unit that corrects the pointing of the images.
-const ADJUST: &str = "adjust";
-/// Seconds per pixel of the windows of an adjustment on one core.
-const ADJUST_S_PER_PIXEL: f64 = 2e-5;
 /// Seconds per pixel of the windows of a sweep on one core.
 const SWEEP_S_PER_PIXEL: f64 = 1e-5;
 /// Time of the other stages of a training (start, albedo, evaluation) for each image, in steps.
@@ -77,6 +73,8 @@ pub struct Unit {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Work {
+    /// Searches tie points in patches of the area.
+    Ties(TiesWork),
     /// Corrects the pointing of the images over the whole area.
     Adjust(AdjustWork),
     /// Trains a tile and writes its surface model.
@@ -96,9 +94,9 @@ pub enum Work {
     },
 }
 
-/// Work of an adjustment.
+/// Work of a search for tie points.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct AdjustWork {
+pub struct TiesWork {
     /// Path of the scene.
     pub scene: PathBuf,
     /// Settings of the scene, without an area.
@@ -106,6 +104,19 @@ pub struct AdjustWork {
     /// Rectangles of ground in which tie points are sought.
     pub patches: Vec<AreaRequest>,
     /// Preset of the image matching.
+    pub preset: PresetEntry,
+}
+
+/// Work of an adjustment.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct AdjustWork {
+    /// Path of the scene.
+    pub scene: PathBuf,
+    /// Preferred cameras of the scene.
+    pub rpc: RpcPreference,
+    /// Names of the units that found the ties, in the order of their patches.
+    pub ties: Vec<String>,
+    /// Preset with the settings of the cameras.
     pub preset: PresetEntry,
 }
 
@@ -415,16 +426,17 @@ fn units_of(
             tiles: &manifest.tiles,
             deliver: manifest.deliver.as_ref(),
         };
-        let cameras = match config.cameras.align != Align::Off && tiling.tiles.len() > 1 {
-            true => {
-                let id = format!("{}/{}/{ADJUST}", area.name, images.name);
-                if !units.iter().any(|unit: &Unit| unit.id == id) {
-                    units.push(combination.adjust(id.clone(), &tiling, &survey, &config));
-                }
-                units.iter().find(|unit| unit.id == id).cloned()
-            }
-            false => None,
-        };
+        // Cameras are corrected once for the tiles of all presets.
+        let cameras = (config.cameras.align != Align::Off && tiling.tiles.len() > 1).then(|| {
+            let id = combination.adjust_id();
+            let known = units.iter().find(|unit: &&Unit| unit.id == id).cloned();
+            known.unwrap_or_else(|| {
+                let (ties, adjust) = combination.cameras(&tiling, &survey, &config);
+                units.extend(ties);
+                units.push(adjust.clone());
+                adjust
+            })
+        });
         units.extend(combination.units(&tiling, &survey, cameras.as_ref()));
     }
     Ok((units, index.files))
@@ -470,43 +482,6 @@ struct Combination<'a> {
 }
 
 impl Combination<'_> {
-    /// Unit that corrects the pointing for all tiles of all presets.
-    fn adjust(&self, id: String, tiling: &Tiling, survey: &Survey, config: &SatelliteConfig) -> Unit {
-        let patches = tiles::patches(tiling, survey.gsd_m);
-        let surveyed = patches.iter().filter_map(|patch| survey.tile(patch).ok()?);
-        let estimates: Vec<(f64, f64)> = surveyed
-            .map(|tile| (sweep_estimate(survey, &tile, config).peak_bytes, tile.pixels))
-            .collect();
-        let bytes = estimates.iter().map(|(bytes, _)| *bytes).fold(LEAST_BYTES, f64::max);
-        let pixels: f64 = estimates.iter().map(|(_, pixels)| pixels).sum();
-        let work = AdjustWork {
-            scene: self.images.scene.clone(),
-            ingest: IngestOptions {
-                area: None,
-                ..self.ingest.clone()
-            },
-            patches,
-            preset: self.preset.clone(),
-        };
-        let said = format!(
-            "{}adjust\n{:?} {:?}\n{}\n{}",
-            identity_of_program(),
-            work.patches,
-            work.ingest,
-            self.config,
-            self.inputs
-        );
-        Unit {
-            id,
-            after: Vec::new(),
-            mem_mb: mebibytes(bytes),
-            runtime_s: (LEAST_S + ADJUST_S_PER_PIXEL * pixels).ceil() as u64,
-            key: digest(&said),
-            deliver: self.deliver.cloned(),
-            work: Work::Adjust(work),
-        }
-    }
-
     fn units(&self, tiling: &Tiling, survey: &Survey, cameras: Option<&Unit>) -> Vec<Unit> {
         let home = format!("{}/{}/{}", self.area.name, self.images.name, self.preset.name);
         let mut units: Vec<Unit> = tiling

@@ -16,6 +16,7 @@ pub fn pending(unit: &Unit, out: &Path) -> Row {
     Row {
         unit: unit.id.clone(),
         kind: match unit.work {
+            Work::Ties(_) => "ties",
             Work::Adjust(_) => "adjust",
             Work::Tile(_) => "tile",
             Work::Colours(_) => "colours",

@@ -4,7 +4,7 @@ use super::BatchError;
 use super::colours::{self, Colours};
 use super::joined;
 use super::mosaic::{mosaic, nothing};
-use super::plan::{AdjustWork, ColoursWork, MosaicWork, RUN, TileWork, Unit, Units, Work};
+use super::plan::{AdjustWork, ColoursWork, MosaicWork, RUN, TiesWork, TileWork, Unit, Units, Work};
 use super::products::{self, sun_of};
 use super::stamp::{self, Done, Output, STAMP, Stamp, claim};
 use super::store;
@@ -17,12 +17,13 @@ use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_pages::{report, view};
 use heliosplat_products::{dsm, model, seams};
 use heliosplat_raster::bounded::read_text;
-use heliosplat_raster::preview;
 use heliosplat_raster::temporary::TemporaryFolder;
 use heliosplat_raster::write_atomically;
+use heliosplat_raster::{Window, preview};
 use heliosplat_satellite::config::{Align, SatelliteConfig};
+use heliosplat_satellite::patch_ties::PatchTies;
 use heliosplat_satellite::run_file::CUT;
-use heliosplat_satellite::shared_cameras::{SharedCameras, shared_cameras};
+use heliosplat_satellite::shared_cameras::SharedCameras;
 use heliosplat_satellite::training::train;
 use heliosplat_satellite::{measure, preprocess};
 use heliosplat_scene::{Cut, Index, Scene, SceneError};
@@ -33,6 +34,8 @@ use std::time::{Duration, Instant};
 
 /// Name of the file with the key of the unit that last used a folder.
 const BEGUN: &str = "begun.txt";
+/// Name of the file with the ties of a unit's patches.
+const TIES: &str = "ties.bin";
 /// Name of the file with the camera corrections that all tiles share.
 const CAMERAS: &str = "cameras.json";
 /// Metrics of a training that are metrics of its tile.
@@ -82,7 +85,8 @@ pub fn do_unit(
     begin(&folder, unit)?;
     let begun = Instant::now();
     let (outputs, metrics) = match &unit.work {
-        Work::Adjust(work) => adjust(work, &folder, session)?,
+        Work::Ties(work) => ties(work, &folder, session)?,
+        Work::Adjust(work) => adjust(work, out, &folder)?,
         Work::Tile(work) => tile(work, unit, (out, &folder), checkpoint_every, session)?,
         Work::Colours(work) => colours(work, out, &folder)?,
         Work::Mosaic(work) | Work::Block(work) => mosaic_unit(work, unit, out, &folder)?,
@@ -156,7 +160,7 @@ fn tile(
     }
     let (preset, mut config) = (work.preset.parsed()?, work.preset.config()?);
     if let Some(unit) = &work.cameras {
-        share_cameras(&mut config, &out.join(unit).join(CAMERAS))?;
+        share_cameras(&mut config, &scene, &out.join(unit).join(CAMERAS))?;
     }
     if work.preset.is_sweep() {
         return swept(&scene, work, &config, folder, session);
@@ -199,22 +203,42 @@ fn tile(
     Ok((outputs, metrics))
 }
 
-/// Sets the corrections of the cameras that all tiles share, read from `path`.
-fn share_cameras(config: &mut SatelliteConfig, path: &Path) -> Result<(), BatchError> {
+/// Sets the corrections of the cameras that all tiles share, read from `path`: those in the middle of the windows of a
+/// tile's `scene`.
+fn share_cameras(config: &mut SatelliteConfig, scene: &Scene, path: &Path) -> Result<(), BatchError> {
     let failed = |reason: &dyn std::fmt::Display| BatchError::Failed(format!("{}: {reason}", path.display()));
     let text = read_text(path).map_err(|error| failed(&error))?;
     let cameras: SharedCameras = serde_json::from_str(&text).map_err(|error| failed(&error))?;
     // With alignment on and no shifts, the tile would correct its pointing itself.
     config.cameras.align = Align::Off;
-    config.cameras.shifts_px = cameras.shifts_px;
+    let middle = |window: &Window| window.row0 as f64 + (window.height as f64 - 1.0) / 2.0;
+    let rows = scene
+        .images
+        .iter()
+        .map(|image| (image.name.as_str(), middle(&image.window)));
+    config.cameras.shifts_px = cameras.shifts_at(&rows.collect());
     config.cameras.left_out = cameras.left_out;
     Ok(())
 }
 
-/// Corrects the pointing of each image, once for all tiles.
-fn adjust(work: &AdjustWork, folder: &Path, session: &Session) -> Result<Done, BatchError> {
+/// Searches the ties of some patches of an area.
+fn ties(work: &TiesWork, folder: &Path, session: &Session) -> Result<Done, BatchError> {
     let index = Index::open(&work.scene, work.ingest.rpc)?;
-    let cameras = shared_cameras(&index, &work.ingest, &work.patches, &work.preset.config()?, session)?;
+    let config = work.preset.config()?;
+    let ties = PatchTies::find(&index, &work.ingest, &work.patches, &config, session)?;
+    ties.write(&folder.join(TIES))?;
+    Ok((
+        vec![TIES.into()],
+        json!({"patches": work.patches.len(), "ties": ties.count()}),
+    ))
+}
+
+/// Corrects the pointing of each image, once for all tiles.
+fn adjust(work: &AdjustWork, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+    let index = Index::open(&work.scene, work.rpc)?;
+    let of_unit = |unit: &String| PatchTies::read(&out.join(unit).join(TIES));
+    let ties = work.ties.iter().map(of_unit).collect::<Result<Vec<_>, _>>()?;
+    let cameras = SharedCameras::of(&index, &ties, work.preset.config()?.cameras.align);
     let metrics = serde_json::to_value(&cameras).unwrap_or_default();
     write_atomically(&folder.join(CAMERAS), format!("{metrics:#}\n").as_bytes())?;
     Ok((vec![CAMERAS.into()], metrics))

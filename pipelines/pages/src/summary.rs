@@ -58,7 +58,7 @@ impl State {
 pub struct Row {
     /// Name of the unit.
     pub unit: String,
-    /// `adjust`, `tile`, `colours`, `block`, `mosaic`, or `refused` if the scene cannot be used.
+    /// `ties`, `adjust`, `tile`, `colours`, `block`, `mosaic`, or `refused` if the scene cannot be used.
     pub kind: &'static str,
     /// Status.
     pub state: State,

@@ -29,7 +29,7 @@ use heliosplat_stereo::{MatchingParameters, SweepView};
 use nalgebra::Vector3;
 
 /// Approximate number of tiles of the ground, with at most one tie each, at half and at full resolution.
-const TILES: [usize; 2] = [900, 2000];
+pub(crate) const TILES: [usize; 2] = [900, 2000];
 /// Correlation at or below which a sighting has no weight.
 const WORTHLESS_SCORE: f32 = 0.7;
 /// Residual of tie points above which cameras contradict each other, pixels. A match is right to a fifth of a pixel:

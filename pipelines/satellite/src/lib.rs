@@ -16,6 +16,7 @@ mod initial;
 mod initial_state;
 pub mod limits;
 pub mod measure;
+pub mod patch_ties;
 mod plan;
 pub mod preprocess;
 mod probe;

@@ -17,7 +17,7 @@ pub struct AdjustImage<'a> {
 }
 
 /// Position of a track's point in an image.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Sighting {
     /// Index of the image.
     pub image: usize,
@@ -28,7 +28,7 @@ pub struct Sighting {
 }
 
 /// One ground point seen in several images.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Track {
     /// Approximate position: an error of a few hundred metres is allowed.
     pub near: GeoPoint,
