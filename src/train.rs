@@ -14,7 +14,6 @@ pub use options::TrainOptions;
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, POSITION, ROTATION};
-use crate::loss::geometry::depth_normal;
 use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::loss::smoothness::{Neighbours, total_variation};
@@ -23,7 +22,7 @@ use crate::optim::density::UNTIL_FRACTION;
 use crate::optim::{Adam, DensityStatistics, LearningRate, ParameterGroup, exponential_decay};
 use crate::render::{Lit, Pass, PassOptions};
 use crate::splat::project::project;
-use crate::splat::{Depths, MapGradients, ProjectionOptions};
+use crate::splat::{Depths, ProjectionOptions};
 use crate::timeline::stage;
 use crate::trace::{OccluderGradients, Occluders};
 use cached_visibility::CachedVisibility;
@@ -47,8 +46,6 @@ const ROTATION_RATE: f32 = 2e-3;
 const PHOTOMETRIC_WEIGHT: f32 = 10.0;
 /// Share of SSIM in the photometric loss (Kerbl et al. 2023); without it `olat` loses 0.4 dB (docs/lab/objects.md).
 const LAMBDA_SSIM: f32 = 0.2;
-/// Depth range, ground sampling distances, beyond which neighbouring pixels are an edge and not a slope.
-const DEPTH_NORMAL_EDGE_GSD: f32 = 3.0;
 
 /// Numbers per parallel job; fixed, so that sums do not depend on the number of threads.
 const CHUNK: usize = 1 << 14;
@@ -361,7 +358,7 @@ impl<'a> Trainer<'a> {
         let pass_options = PassOptions {
             projection: ProjectionOptions::default(),
             occluder_gradients: self.occluder_gradients(),
-            normals: options.depth_normal_weight > 0.0,
+            normals: false,
             depths: Depths::Mean,
         };
         let before = self.cached_visibility[index].take();
@@ -398,7 +395,6 @@ impl<'a> Trainer<'a> {
                     .light_prior_loss(&pass.maps, prior, &view.weight, &mut d_maps),
             );
         }
-        losses.extend(surface_loss(options, &pass, &mut d_maps));
         let l1 = mean_absolute(&image.values, &truth.values);
         let pairs = pass.maps.pairs;
         drop((image, d_image));
@@ -528,16 +524,6 @@ impl<'a> Trainer<'a> {
             "density"
         );
     }
-}
-
-/// The depth–normal loss, where it is on.
-fn surface_loss(options: &TrainOptions, pass: &Pass, d_maps: &mut MapGradients) -> Option<NamedLoss> {
-    let weight = options.depth_normal_weight;
-    (weight > 0.0).then(|| {
-        let edge_m = DEPTH_NORMAL_EDGE_GSD * options.gsd_m;
-        let value = depth_normal(pass.camera(), &pass.maps, pass.normal_channel(), edge_m, weight, d_maps);
-        ("depth_normal", value)
-    })
 }
 
 fn mean_absolute(a: &[f32], b: &[f32]) -> f64 {

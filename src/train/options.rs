@@ -21,9 +21,6 @@ pub struct TrainOptions {
     /// First learning rate of positions, ground sampling distances per step: 0.002 in `accurate`, because level ground
     /// gets rougher with every step that moves it, 0.04 for objects, which start from a hull.
     pub position_rate_gsd: f32,
-    /// Weight of depth–normal consistency; 0 is off. 0 in `fast`, whose steps are too few for it to converge, 0.1 in
-    /// `balanced`.
-    pub depth_normal_weight: f32,
     /// Weight of shadow consistency; 0 is off. 0.2 for ground, 0 for objects, which have no zenith.
     pub consistency_weight: f32,
     /// Steps between two passes of shadow consistency, each with a weight larger by this factor: 16 in `fast`, 4 in
@@ -83,7 +80,6 @@ impl Default for TrainOptions {
             iterations: 2000,
             epochs: 1000,
             position_rate_gsd: 0.01,
-            depth_normal_weight: 0.5,
             consistency_weight: 0.2,
             consistency_every: 8,
             light_every: 4,
@@ -163,7 +159,6 @@ impl TrainOptions {
         let share = |option, value: f32| (option, value, (0.0..=1.0).contains(&value), "a number from 0 to 1");
         for (option, value, fits, expected) in [
             not_negative("position_rate_gsd", self.position_rate_gsd),
-            not_negative("depth_normal_weight", self.depth_normal_weight),
             not_negative("consistency_weight", self.consistency_weight),
             not_negative("smoothness_weight", self.smoothness_weight),
             share("pyramid_share", self.pyramid_share),

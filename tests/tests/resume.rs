@@ -47,7 +47,6 @@ fn options() -> TrainOptions {
         light_every: 3,
         consistency_every: 5,
         pyramid_share: 0.4,
-        depth_normal_weight: 0.0,
         density: DensityOptions {
             every: 11,
             gradient_threshold: 0.0,

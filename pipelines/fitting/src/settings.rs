@@ -93,6 +93,31 @@ impl std::str::FromStr for Preset {
     }
 }
 
+/// Former settings in runs of earlier builds, which are ignored: group and name.
+const RETIRED: [(&str, &str); 3] = [
+    ("start", "step_opacity"),
+    ("model", "opaqueness_weight"),
+    ("train", "depth_normal_weight"),
+];
+
+/// Content of a `run.toml`, without former settings.
+///
+/// # Errors
+/// One sentence with the fault of the TOML.
+pub fn run_of<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
+    let run = || -> Result<T, toml::de::Error> {
+        let mut run: toml::Table = text.parse()?;
+        for (group, setting) in RETIRED {
+            let settings = run.get_mut("config").and_then(|config| config.get_mut(group));
+            settings
+                .and_then(toml::Value::as_table_mut)
+                .and_then(|settings| settings.remove(setting));
+        }
+        run.try_into()
+    };
+    run().map_err(|error| error.message().to_owned())
+}
+
 /// Resolves a configuration: its defaults, then the text of a preset, then the `--set` pairs in their order. Later
 /// values replace earlier ones.
 ///

@@ -4,6 +4,7 @@ use crate::config::ObjectConfig;
 use crate::model::{self, ObjectModel, damaged};
 use crate::plan::Plan;
 use heliosplat_fitting::run_folder::{Input, RUN, RunError, read};
+use heliosplat_fitting::settings::run_of;
 use std::path::{Path, PathBuf};
 
 /// Content of `run.toml`.
@@ -54,6 +55,6 @@ impl ObjectRun {
     /// # Errors
     /// A sentence with the fault of the TOML.
     pub fn parse(text: &str) -> Result<Self, String> {
-        toml::from_str(text).map_err(|e| e.message().to_owned())
+        run_of(text)
     }
 }

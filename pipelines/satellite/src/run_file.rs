@@ -10,6 +10,7 @@ use crate::fit::Fitted;
 use crate::plan::PlanItem;
 use heliosplat::gaussians::Table;
 use heliosplat_fitting::run_folder::{Input, RUN, RunError, parsed, read};
+use heliosplat_fitting::settings::run_of;
 use heliosplat_products::model::{self, ModelFile, ModelImage};
 use heliosplat_scene::crop::{self, Crop};
 use heliosplat_scene::{AreaRequest, Index, KeptCut, Scene, Split};
@@ -45,26 +46,13 @@ pub struct RunFile {
     pub config: SatelliteConfig,
 }
 
-/// Former settings in runs of earlier builds that are ignored.
-const RETIRED: [(&str, &str); 2] = [("start", "step_opacity"), ("model", "opaqueness_weight")];
-
 impl RunFile {
     /// Parses the text of a `run.toml`.
     ///
     /// # Errors
     /// One sentence with the fault.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let run = || -> Result<Self, toml::de::Error> {
-            let mut run: toml::Table = toml::from_str(text)?;
-            for (group, setting) in RETIRED {
-                let settings = run.get_mut("config").and_then(|config| config.get_mut(group));
-                settings
-                    .and_then(toml::Value::as_table_mut)
-                    .and_then(|settings| settings.remove(setting));
-            }
-            run.try_into()
-        };
-        run().map_err(|e| e.message().to_owned())
+        run_of(text)
     }
 }
 
@@ -177,7 +165,7 @@ mod tests {
             let start = "version = \"0\"\nbuild = \"b\"\npreset = \"fast\"\nseed = 1\nscene = \"s\"\naltitude_range_m = [0.0, 9.0]\nplan = []\ninputs = []";
             RunFile::parse(&format!("{start}\n{settings}"))
         };
-        assert!(run("[config.start]\nstep_opacity = 0.35\n[config.model]\nopaqueness_weight = 0.0").is_ok());
+        assert!(run("[config.start]\nstep_opacity = 0.35\n[config.model]\nopaqueness_weight = 0.0\n[config.train]\ndepth_normal_weight = 0.1").is_ok());
         let fault = run("[config.model]\nopaque = 0.0").expect_err("unknown");
         assert!(fault.contains("opaque"), "{fault}");
     }

@@ -2,6 +2,7 @@
 
 use super::model_args::TrainArgs;
 use crate::outcome::CliError;
+use heliosplat_fitting::settings::run_of;
 use heliosplat_scene::AreaRequest;
 use serde::Deserialize;
 use std::path::Path;
@@ -36,7 +37,7 @@ struct ConfigFile {
 pub(super) fn complete(args: &mut TrainArgs, path: &Path) -> Result<(), CliError> {
     let fault = |reason: &dyn std::fmt::Display| CliError::Input(format!("--config {}: {reason}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|error| fault(&error))?;
-    let mut table: toml::Table = text.parse().map_err(|error: toml::de::Error| fault(&error.message()))?;
+    let mut table: toml::Table = run_of(&text).map_err(|error| fault(&error))?;
     table.retain(|key, _| !RECORDS.contains(&key));
     let file = ConfigFile::deserialize(table).map_err(|error| fault(&error.message()))?;
     let preset = file.preset.as_deref().map(str::parse).transpose();
