@@ -9,7 +9,8 @@
 //!
 //! Images are accepted one by one, that of the largest ratio first: a linear deformation of the ground fits the ties
 //! as well as drifts of all images, so that the fewest drifts are the explanation. A drift that all images share
-//! remains unseen.
+//! remains unseen. Errors of neighbouring ties are alike, so that ties of a small part of an image look like a drift:
+//! they have to span half of its rows.
 
 use super::correction::Correction;
 use super::linear::Linear;
@@ -25,8 +26,8 @@ const PARAMETERS: usize = 4;
 /// drift by leverage.
 const END: f64 = 0.25;
 
-/// For each image a correction of zero whose unit are the rows that ties span; `None` without enough ties at both ends
-/// of these rows.
+/// For each image a correction of zero whose unit are the rows that ties span; `None` where they span less than half of
+/// the image, or too few are at an end of these rows.
 pub(super) fn spans(none: &[Correction], tracks: &[&Track]) -> Vec<Option<Correction>> {
     let mut rows = vec![Vec::new(); none.len()];
     for sighting in tracks.iter().flat_map(|track| &track.sightings) {
@@ -40,7 +41,8 @@ pub(super) fn spans(none: &[Correction], tracks: &[&Track]) -> Vec<Option<Correc
             *rows.get(FEWEST_SIGHTINGS - 1)?,
             *rows.get(rows.len() - FEWEST_SIGHTINGS)?,
         ];
-        (lowest < first + end && highest > last - end).then(|| Correction {
+        let is_spanned = last - first >= none.centre.row;
+        (is_spanned && lowest < first + end && highest > last - end).then(|| Correction {
             centre: ImagePoint::new(none.centre.col, 0.5 * (first + last)),
             half_side_px: 0.5 * (last - first),
             ..*none
