@@ -52,7 +52,8 @@ pub(super) fn complete(args: &mut TrainArgs, path: &Path) -> Result<(), CliError
     Ok(())
 }
 
-/// Settings of nested tables as pairs of a dotted key and a value. Corrections by name of image are one value, since names may have dots.
+/// Settings of nested tables as pairs of a dotted key and a value. Corrections by name of image are one value, since
+/// names may have dots.
 fn settings(table: &toml::Table, group: &str, pairs: &mut Vec<(String, String)>) {
     for (key, value) in table {
         let key = format!("{group}{key}");
