@@ -152,7 +152,11 @@ pub fn find<L: Fn(&States) -> Option<f32>>(
         let request = PlaneSweepRequest { volume, ..*request };
         let sides = [false, true].map(|after| {
             let views = side(views, days, day, after);
-            plane_sweep(&views, &matched_as(&views, &request), &|_| {})
+            plane_sweep(
+                &views,
+                &matched_as(&views, &request, MatchingParameters::choose),
+                &|_| {},
+            )
         });
         for segment in of_that_day {
             changes.refine(segment, &grid, &sides, surface);
@@ -324,7 +328,8 @@ fn splits(
     consider(&present);
     for (day, after) in [(candidates[0], false), (candidates[candidates.len() - 1], true)] {
         let views = side(views, days, day, after);
-        consider(&swept_altitudes(&views, &matched_as(&views, request)));
+        let request = matched_as(&views, request, MatchingParameters::of_hypothesis);
+        consider(&swept_altitudes(&views, &request));
     }
     splits
 }
@@ -489,13 +494,17 @@ fn side<'a>(views: &[SweepView<'a>], days: &[i32], day: i32, after: bool) -> Vec
     sides.map(|(view, _)| *view).collect()
 }
 
-/// The request with the matching parameters for a subset of the views.
-fn matched_as(views: &[SweepView], request: &PlaneSweepRequest) -> PlaneSweepRequest {
+/// The request with the matching parameters that `choose` gives a subset of the views.
+fn matched_as(
+    views: &[SweepView],
+    request: &PlaneSweepRequest,
+    choose: impl FnOnce(&MatchingFacts) -> MatchingParameters,
+) -> PlaneSweepRequest {
     let geometries: Vec<ViewGeometry> = views.iter().map(SweepView::geometry).collect();
     let has_index = views.iter().all(|view| view.index.is_some());
     let facts = MatchingFacts::new(&geometries, &request.volume, has_index);
     PlaneSweepRequest {
-        parameters: MatchingParameters::choose(&facts),
+        parameters: choose(&facts),
         ..*request
     }
 }

@@ -75,9 +75,9 @@ const SINGLE_CELL_BASE_TO_HEIGHT: f32 = 0.8;
 pub(super) const COST_PER_E_FOLD: f32 = 30.0;
 /// Least radius of the aggregation window, cells, up to [`FEW_VIEWS`] views; with more views single cells are better
 /// (docs/lab/plane-sweep.md).
-const FEW_VIEWS_RADIUS: f32 = 2.0;
+const FEW_VIEWS_RADIUS: usize = 2;
 /// Largest radius of the aggregation window, cells; reached at a combined base-to-height ratio of 0.133.
-const LARGEST_RADIUS: f32 = 6.0;
+const LARGEST_RADIUS: usize = 6;
 /// Radius of the aggregation window, cells, per unit of the smoothness scale: with a very short base, single mismatches
 /// are as tall as houses, and jumps cost twice as much at the largest window.
 const RADIUS_PER_SMOOTHNESS: usize = 3;
@@ -207,10 +207,23 @@ pub struct MatchingParameters {
 impl MatchingParameters {
     /// Chooses all parameters from the facts.
     pub fn choose(facts: &MatchingFacts) -> Self {
+        let radius = match facts.views <= FEW_VIEWS {
+            true => radius_of_base(facts).max(FEW_VIEWS_RADIUS),
+            false => radius_of_base(facts),
+        };
+        Self::with_radius(facts, radius)
+    }
+
+    /// The parameters of a surface that is a hypothesis: other evidence rejects the heights that few views find by
+    /// chance, so only a short base asks for windows, which lose objects of a few cells (docs/lab/change.md).
+    pub(super) fn of_hypothesis(facts: &MatchingFacts) -> Self {
+        Self::with_radius(facts, radius_of_base(facts))
+    }
+
+    fn with_radius(facts: &MatchingFacts, radius: usize) -> Self {
         let many = many_views_share(facts.views);
         let between = |few: u16, all: u16| (f32::from(few) + (f32::from(all) - f32::from(few)) * many).round() as u16;
-        let radius = aggregation_radius(facts);
-        let very_short_base = radius >= LARGEST_RADIUS as usize;
+        let very_short_base = radius >= LARGEST_RADIUS;
         let jump_penalty = between(JUMP_PENALTY_FEW, JUMP_PENALTY_MANY);
         Self {
             step_cells: STEP_CELLS,
@@ -235,16 +248,10 @@ impl MatchingParameters {
     }
 }
 
-/// Radius of the aggregation window, cells: noise in height grows with the inverse of the base-to-height ratio, false
-/// matches with the inverse of the number of comparisons.
-fn aggregation_radius(facts: &MatchingFacts) -> usize {
-    let of_base = SINGLE_CELL_BASE_TO_HEIGHT / facts.combined_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32);
-    let of_views = if facts.views <= FEW_VIEWS {
-        FEW_VIEWS_RADIUS
-    } else {
-        0.0
-    };
-    of_base.max(of_views).min(LARGEST_RADIUS) as usize
+/// Radius of the aggregation window, cells: noise in height grows with the inverse of the base-to-height ratio.
+fn radius_of_base(facts: &MatchingFacts) -> usize {
+    let radius = SINGLE_CELL_BASE_TO_HEIGHT / facts.combined_base_to_height.max(LEAST_BASE_TO_HEIGHT as f32);
+    radius.min(LARGEST_RADIUS as f32) as usize
 }
 
 /// Factor on the jump penalty for windows of this radius.
@@ -322,7 +329,7 @@ mod tests {
     fn windows_widen_and_jumps_cost_more_as_the_base_shrinks() {
         let radius = |ratio| chosen(9, ratio).aggregation_radius;
         assert_eq!([0.08, 0.2, 0.3, 0.5, 2.0].map(radius), [6, 4, 2, 1, 0]);
-        assert!(radius(0.0) <= LARGEST_RADIUS as usize);
+        assert!(radius(0.0) <= LARGEST_RADIUS);
         assert_eq!(
             [0.08, 0.2, 2.0].map(|ratio| chosen(3, ratio).jump_penalty),
             [180, 90, 90]
@@ -338,6 +345,19 @@ mod tests {
         let radius = |views| chosen(views, 2.0).aggregation_radius;
         assert_eq!([2, 3, 4, 5, 9].map(radius), [2, 2, 2, 0, 0]);
         assert_eq!(chosen(2, 0.2).aggregation_radius, 4);
+    }
+
+    #[test]
+    fn a_hypothesis_of_few_views_keeps_objects_of_a_few_cells() {
+        let radius = |ratio| {
+            let facts = MatchingFacts {
+                views: 2.0,
+                combined_base_to_height: ratio,
+                has_index: false,
+            };
+            MatchingParameters::of_hypothesis(&facts).aggregation_radius
+        };
+        assert_eq!([0.2, 2.0].map(radius), [4, 0], "a short base alone asks for windows");
     }
 
     #[test]
