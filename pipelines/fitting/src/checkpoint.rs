@@ -107,38 +107,32 @@ pub fn read<P: Clone + DeserializeOwned + 'static>(
     let bytes = match bounded::read_bytes(&path, LARGEST) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => {
-            return Err(CheckpointError::Damaged(path, error.to_string()));
-        }
+        Err(error) => return Err(CheckpointError::Damaged(path, error.to_string())),
     };
-    decode(&bytes, identity).map(Some).map_err(|fault| match fault {
-        Fault::Damaged(reason) => CheckpointError::Damaged(path, reason),
-        Fault::Other(difference) => CheckpointError::Other(path, difference),
-    })
+    decode(&bytes, identity, &path).map(Some)
 }
 
-enum Fault {
-    Damaged(String),
-    Other(String),
-}
-
-fn decode<P: Clone + DeserializeOwned + 'static>(bytes: &[u8], identity: &str) -> Result<LoadedCheckpoint<P>, Fault> {
-    let damaged = |reason: &str| Fault::Damaged(reason.to_owned());
-    let rest = bytes
-        .strip_prefix(MAGIC)
-        .ok_or_else(|| damaged("it is no checkpoint of this version of the program"))?;
+// The identity first: the rest may have another layout in another version.
+fn decode<P: Clone + DeserializeOwned + 'static>(
+    bytes: &[u8],
+    identity: &str,
+    path: &Path,
+) -> Result<LoadedCheckpoint<P>, CheckpointError> {
+    let damaged = |reason: &str| CheckpointError::Damaged(path.to_owned(), reason.to_owned());
+    let undecoded = |error: postcard::Error| damaged(&error.to_string());
+    let rest = bytes.strip_prefix(MAGIC);
+    let rest = rest.ok_or_else(|| damaged("it is no checkpoint of this version of the program"))?;
     let (contents, sum) = rest
         .split_last_chunk::<SUM>()
         .ok_or_else(|| damaged("it is truncated"))?;
     if Sha256::digest(contents)[..] != sum[..] {
         return Err(damaged("its check sum is wrong: it is truncated or damaged"));
     }
-    // The identity first: the rest may have another layout in another version.
-    let (before, _) = postcard::take_from_bytes::<Cow<str>>(contents).map_err(|e| Fault::Damaged(e.to_string()))?;
+    let (before, _) = postcard::take_from_bytes::<Cow<str>>(contents).map_err(undecoded)?;
     if let Some(difference) = difference(&before, identity) {
-        return Err(Fault::Other(difference));
+        return Err(CheckpointError::Other(path.to_owned(), difference));
     }
-    let contents: Contents<'static, P> = owned(contents)?;
+    let contents: Contents<'static, P> = owned(contents).map_err(undecoded)?;
     Ok(LoadedCheckpoint {
         preprocessed: contents.preprocessed.map(Cow::into_owned),
         log: contents.log.into_owned(),
@@ -146,9 +140,8 @@ fn decode<P: Clone + DeserializeOwned + 'static>(bytes: &[u8], identity: &str) -
     })
 }
 
-fn owned<P: Clone + DeserializeOwned + 'static>(contents: &[u8]) -> Result<Contents<'static, P>, Fault> {
-    let mut reader = postcard::Deserializer::from_bytes(contents);
-    serde::Deserialize::deserialize(&mut reader).map_err(|error: postcard::Error| Fault::Damaged(error.to_string()))
+fn owned<P: Clone + DeserializeOwned + 'static>(contents: &[u8]) -> postcard::Result<Contents<'static, P>> {
+    serde::Deserialize::deserialize(&mut postcard::Deserializer::from_bytes(contents))
 }
 
 /// The first line in which two identities differ, in words.
@@ -243,11 +236,8 @@ struct Summed<'f> {
 
 impl<'f> Summed<'f> {
     fn new(file: &'f mut dyn Write) -> Self {
-        Self {
-            file,
-            sum: Sha256::new(),
-            fault: None,
-        }
+        let (sum, fault) = (Sha256::new(), None);
+        Self { file, sum, fault }
     }
 
     fn finish(&mut self) -> std::io::Result<()> {
@@ -289,8 +279,8 @@ mod tests {
 
     #[test]
     fn what_is_no_whole_checkpoint_is_refused_without_a_guess() {
-        let message = |bytes: &[u8]| match decode::<()>(bytes, "x") {
-            Err(Fault::Damaged(reason)) => reason,
+        let message = |bytes: &[u8]| match decode::<()>(bytes, "x", Path::new("run")) {
+            Err(CheckpointError::Damaged(_, reason)) => reason,
             _ => String::new(),
         };
         assert!(message(b"anything").contains("no checkpoint"));

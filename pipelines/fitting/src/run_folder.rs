@@ -166,8 +166,8 @@ pub fn save_model(
     describe: impl FnOnce(String) -> serde_json::Result<String>,
 ) -> Result<(), RunError> {
     let path = folder.join(MODEL);
-    let text =
-        describe(sha256::of_bytes(gaussians)).map_err(|error| RunError::Damaged(path.clone(), error.to_string()))?;
+    let text = describe(sha256::of_bytes(gaussians));
+    let text = text.map_err(|error| RunError::Damaged(path.clone(), error.to_string()))?;
     if !texts.is_empty() {
         remove_earlier(folder)?;
     }
@@ -233,10 +233,8 @@ pub fn peak_rss_bytes() -> u64 {
 /// One size of `/proc/self/status`, bytes. The kernel reports KiB there, whatever the size of its pages.
 fn status_bytes(field: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let kib = status
-        .lines()
-        .find_map(|line| line.strip_prefix(field))
-        .and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
+    let rest = status.lines().find_map(|line| line.strip_prefix(field));
+    let kib = rest.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
     kib.unwrap_or(0) * 1024
 }
 
@@ -298,11 +296,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> FolderState<'a, P> {
     /// When another process trains there, the folder holds a training that `earlier` keeps, the checkpoint is damaged
     /// or of another training, or the folder cannot be made.
     pub fn look(asked: RunRequest<'a>) -> Result<Self, RunError> {
-        let RunRequest {
-            request,
-            identity,
-            steps_after,
-        } = asked;
+        let RunRequest { request, identity, .. } = asked;
         let (out, earlier) = (request.out.as_path(), request.earlier);
         let new = !out.exists();
         create_folder(out)?;
@@ -328,17 +322,20 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> FolderState<'a, P> {
         let before = checkpoint.as_ref().map_or(0.0, |checkpoint| checkpoint.log.elapsed_s);
         let before = Duration::try_from_secs_f64(before).unwrap_or_default();
         let begun = request.begun.checked_sub(before).unwrap_or(request.begun);
+        let closing = Closing {
+            out,
+            identity,
+            new,
+            lock,
+        };
         Ok(Self::Ready(Box::new(RunFolder {
             begun,
-            budget: request.time_budget.map(|limit| Budget::new(begun, limit, steps_after)),
+            budget: request
+                .time_budget
+                .map(|limit| Budget::new(begun, limit, asked.steps_after)),
             checkpoints: CheckpointWriter::new(out, identity, request.checkpoint_every, begun),
             checkpoint,
-            closing: Closing {
-                out,
-                identity,
-                new,
-                lock,
-            },
+            closing,
         })))
     }
 }
@@ -409,10 +406,8 @@ pub fn inputs(run: &Path) -> Result<Vec<Input>, RunError> {
         inputs: Vec<Input>,
     }
     let path = run.join(RUN);
-    let parsed = toml::from_str::<Inputs>(&read(&path)?);
-    parsed
-        .map(|run| run.inputs)
-        .map_err(|error| RunError::Damaged(path, error.message().to_owned()))
+    let parsed = toml::from_str::<Inputs>(&read(&path)?).map(|run| run.inputs);
+    parsed.map_err(|error| RunError::Damaged(path, error.message().to_owned()))
 }
 
 #[cfg(test)]

@@ -108,10 +108,10 @@ pub fn run_of<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
     let run = || -> Result<T, toml::de::Error> {
         let mut run: toml::Table = text.parse()?;
         for (group, setting) in RETIRED {
-            let settings = run.get_mut("config").and_then(|config| config.get_mut(group));
-            settings
-                .and_then(toml::Value::as_table_mut)
-                .and_then(|settings| settings.remove(setting));
+            let settings = run
+                .get_mut("config")
+                .and_then(|config| config.get_mut(group)?.as_table_mut());
+            settings.and_then(|settings| settings.remove(setting));
         }
         run.try_into()
     };
@@ -147,25 +147,17 @@ pub fn resolve<T: serde::de::DeserializeOwned>(
 
 /// A TOML value where the text is one, a string otherwise.
 fn parse_value(text: &str) -> toml::Value {
-    format!("v = {text}")
-        .parse::<toml::Table>()
-        .ok()
-        .and_then(|mut t| t.remove("v"))
-        .unwrap_or_else(|| toml::Value::String(text.into()))
+    let table = format!("v = {text}").parse::<toml::Table>().ok();
+    let value = table.and_then(|mut table| table.remove("v"));
+    value.unwrap_or_else(|| toml::Value::String(text.into()))
 }
 
 fn insert(table: &mut toml::Table, key: &str, value: toml::Value) -> Result<(), String> {
-    match key.split_once('.') {
-        None => {
-            table.insert(key.into(), value);
-            Ok(())
-        }
-        Some((head, rest)) => {
-            let inner = table
-                .entry(head)
-                .or_insert_with(|| toml::Value::Table(toml::Table::new()));
-            let inner = inner.as_table_mut().ok_or_else(|| format!("{head} is not a section"))?;
-            insert(inner, rest, value)
-        }
-    }
+    let Some((head, rest)) = key.split_once('.') else {
+        table.insert(key.into(), value);
+        return Ok(());
+    };
+    let inner = table.entry(head).or_insert_with(|| toml::Table::new().into());
+    let inner = inner.as_table_mut().ok_or_else(|| format!("{head} is not a section"))?;
+    insert(inner, rest, value)
 }

@@ -23,14 +23,9 @@ pub enum TrainingError {
     /// The user stopped the training; a checkpoint keeps its state.
     #[error("stopped; the training is kept in {}/checkpoint, the same command continues", .0.display())]
     Interrupted(PathBuf),
-    /// Training could not continue; the run has the last good state.
-    #[error("training stopped: {error}, in {}", out.display())]
-    GaveUp {
-        /// The cause.
-        error: TrainError,
-        /// The folder of the run.
-        out: PathBuf,
-    },
+    /// Training could not continue; the run has the last good state. Fields: the cause, the folder of the run.
+    #[error("training stopped: {}, in {}", .0, .1.display())]
+    GaveUp(TrainError, PathBuf),
 }
 
 /// Measures a model in training without changing it; `None` where nothing can be measured.
@@ -66,10 +61,7 @@ impl Ending {
         match self {
             Self::Done => Ok(()),
             Self::Interrupted => Err(TrainingError::Interrupted(out)),
-            Self::GaveUp(error) => Err(TrainingError::GaveUp {
-                error: error.clone(),
-                out,
-            }),
+            Self::GaveUp(error) => Err(TrainingError::GaveUp(error.clone(), out)),
         }
     }
 }
@@ -167,15 +159,11 @@ pub fn train<P: Clone + Serialize>(
 }
 
 fn point(report: &StepReport, l1: f64) -> CurvePoint {
-    let losses = report
-        .losses
-        .iter()
-        .map(|(name, value)| ((*name).to_owned(), *value))
-        .collect();
+    let losses = report.losses.iter().map(|(name, value)| ((*name).to_owned(), *value));
     CurvePoint {
         step: report.step,
         l1,
-        losses,
+        losses: losses.collect(),
         held_out_l1: None,
         accuracy: None,
     }

@@ -115,11 +115,8 @@ impl Session {
         let parts = parts.iter().map(|&(label, share)| {
             let begin = end;
             end += STEPS_OF_WHOLE * share / all;
-            Part {
-                label,
-                steps: [begin, end],
-                bar: Arc::clone(&bar),
-            }
+            let (steps, bar) = ([begin, end], Arc::clone(&bar));
+            Part { label, steps, bar }
         });
         *self.parts() = parts.collect();
         Whole(self.clone())
@@ -135,13 +132,10 @@ impl Session {
     pub fn progress(&self, label: &str, total: u64) -> Progress {
         let part = self.parts().iter().find(|part| part.label == label).cloned();
         if let Some(part) = part {
-            let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::hidden());
             part.bar.message(label);
-            let progress = Progress {
-                bar,
-                lines: None,
-                part: Some(part),
-            };
+            let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::hidden());
+            let (lines, part) = (None, Some(part));
+            let progress = Progress { bar, lines, part };
             progress.set(0);
             return progress;
         }
@@ -150,18 +144,15 @@ impl Session {
     }
 
     fn bar(&self, label: &str, bar: ProgressBar, style: &str) -> Progress {
+        let part = None;
         if std::io::stderr().is_terminal() && !self.is_quiet {
-            let bar = log::BARS.add(bar);
+            let (bar, lines) = (log::BARS.add(bar), None);
             if let Ok(style) = ProgressStyle::with_template(style) {
                 bar.set_style(style.progress_chars("=> ").with_key("left", time_left));
             }
             bar.set_prefix(label.to_owned());
             bar.enable_steady_tick(Duration::from_millis(250));
-            return Progress {
-                bar,
-                lines: None,
-                part: None,
-            };
+            return Progress { bar, lines, part };
         }
         bar.set_draw_target(ProgressDrawTarget::hidden());
         let wanted = std::env::var_os(PROGRESS_VARIABLE).is_some_and(|value| value == "lines");
@@ -169,7 +160,7 @@ impl Session {
             label: label.to_owned(),
             reported: AtomicU64::new(0),
         });
-        Progress { bar, lines, part: None }
+        Progress { bar, lines, part }
     }
 }
 

@@ -6,7 +6,7 @@ use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use tracing_subscriber::EnvFilter;
-use tracing_subscriber::fmt::{self, MakeWriter};
+use tracing_subscriber::fmt;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
@@ -24,16 +24,6 @@ impl Write for Stderr {
 
     fn flush(&mut self) -> std::io::Result<()> {
         Ok(())
-    }
-}
-
-struct StderrMaker;
-
-impl<'a> MakeWriter<'a> for StderrMaker {
-    type Writer = Stderr;
-
-    fn make_writer(&'a self) -> Stderr {
-        Stderr
     }
 }
 
@@ -99,7 +89,7 @@ pub fn start(verbose: u8, quiet: bool) {
     let filter = EnvFilter::try_from_env("HELIOSPLAT_LOG").unwrap_or_else(|_| EnvFilter::new(level));
     let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let on_stderr = fmt::layer()
-        .with_writer(StderrMaker)
+        .with_writer(|| Stderr)
         .with_ansi(!is_plain && std::io::stderr().is_terminal())
         .log_internal_errors(false)
         .without_time()

@@ -3,12 +3,13 @@
 /// Bytes of memory of this machine, or the limit of its control group; `None` where the system does not report it.
 pub fn machine_bytes() -> Option<u64> {
     let installed = std::fs::read_to_string("/proc/meminfo").ok().as_deref().and_then(total);
-    let allowed = [
+    let limits = [
         "/sys/fs/cgroup/memory.max",
         "/sys/fs/cgroup/memory/memory.limit_in_bytes",
-    ]
-    .iter()
-    .find_map(|path| std::fs::read_to_string(path).ok()?.trim().parse().ok());
+    ];
+    let allowed = limits
+        .iter()
+        .find_map(|path| std::fs::read_to_string(path).ok()?.trim().parse().ok());
     installed.into_iter().chain(allowed).min()
 }
 
