@@ -14,7 +14,7 @@ use heliosplat_session::Progress;
 use heliosplat_session::Session;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -158,12 +158,13 @@ impl Batch<'_> {
             let child = self.spawn(unit, threads.max(1))?;
             rows[place].state = State::Running;
             tracing::info!("{}: started", unit.id);
+            let (begun, line) = (Instant::now(), session.watch(&unit.id));
             running.push(Running {
                 unit,
                 place,
                 child,
-                begun: Instant::now(),
-                line: session.watch(&unit.id),
+                begun,
+                line,
             });
         }
         Ok(())
@@ -174,32 +175,25 @@ impl Batch<'_> {
         let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", unit.id));
         create_folder(&self.out.join(&unit.id))?;
         let path = log_of(self.out, unit);
-        let log = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&path)
-            .map_err(|error| failed(format!("its log cannot be written ({error})")))?;
-        let program =
-            std::env::current_exe().map_err(|error| failed(format!("this program is not found ({error})")))?;
+        let log = File::options().create(true).append(true).open(&path);
+        let log = log.map_err(|error| failed(format!("its log cannot be written ({error})")))?;
+        let program = std::env::current_exe();
+        let program = program.map_err(|error| failed(format!("this program is not found ({error})")))?;
         let threads = threads.to_string();
         let every = format!("{}s", self.checkpoint_every.as_secs_f64());
-        Command::new(program)
-            .arg("batch")
-            .arg(self.manifest)
-            .arg("--out")
-            .arg(self.out)
-            .args([
-                "--only",
-                &unit.id,
-                "--attended",
-                "--threads",
-                &threads,
-                "--checkpoint-every",
-                &every,
-            ])
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(log)
+        let mut command = Command::new(program);
+        command.arg("batch").arg(self.manifest).arg("--out").arg(self.out);
+        command.args([
+            "--only",
+            &unit.id,
+            "--attended",
+            "--threads",
+            &threads,
+            "--checkpoint-every",
+            &every,
+        ]);
+        command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(log);
+        command
             .spawn()
             .map_err(|error| failed(format!("it cannot be started ({error})")))
     }
@@ -231,10 +225,9 @@ impl Batch<'_> {
 fn order(units: &[Unit]) -> Vec<usize> {
     let home = |unit: &Unit| unit.id.rsplit_once('/').map_or("", |(home, _)| home).to_owned();
     let mut first = BTreeMap::new();
-    let homes: Vec<usize> = units
-        .iter()
-        .enumerate()
-        .map(|(place, unit)| *first.entry(home(unit)).or_insert(place))
+    let homes = units.iter().zip(0..);
+    let homes: Vec<usize> = homes
+        .map(|(unit, place)| *first.entry(home(unit)).or_insert(place))
         .collect();
     let mut order: Vec<usize> = (0..units.len()).collect();
     order.sort_by_key(|&place| (homes[place], Reverse(units[place].runtime_s)));

@@ -10,7 +10,7 @@ use heliosplat_raster::Geoid;
 use heliosplat_raster::bounded::read_text;
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_scene::{AreaRequest, RpcPreference};
+use heliosplat_scene::{AreaRequest, RpcPreference, toml_fault};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -103,7 +103,7 @@ pub struct ProductOptions {
 }
 
 /// Area of ground.
-#[derive(Debug, Clone, PartialEq, serde::Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AreaEntry {
     /// Name of the area and of its folder.
@@ -172,17 +172,18 @@ impl PresetEntry {
     /// # Errors
     /// When no preset has this name.
     pub fn parsed(&self) -> Result<Preset, heliosplat_fitting::settings::ConfigError> {
-        if self.is_sweep() {
-            Ok(Preset::Fast)
-        } else {
-            self.base().parse()
+        match self.is_sweep() {
+            true => Ok(Preset::Fast),
+            false => self.base().parse(),
         }
     }
 
     /// Overrides as pairs of key and value, as for `--set`.
     pub fn changes(&self) -> Vec<(String, String)> {
-        let text = |value: &toml::Value| value.to_string();
-        self.set.iter().map(|(key, value)| (key.clone(), text(value))).collect()
+        self.set
+            .iter()
+            .map(|(key, value)| (key.clone(), value.to_string()))
+            .collect()
     }
 
     /// Complete configuration, with overrides and seed.
@@ -211,35 +212,28 @@ impl TileOptions {
     }
 
     fn check(&self) -> Result<(), String> {
+        let Self { memory, block, .. } = self;
         if self.memory_bytes().is_none() {
-            return Err(format!(
-                "tiles.memory is '{}', expected a size such as 4GiB",
-                self.memory
-            ));
+            return Err(format!("tiles.memory is '{memory}', expected a size such as 4GiB"));
         }
-        let positive = |v: f64| v > 0.0 && v.is_finite();
-        for (key, value, fits) in [
-            (
-                "overlap_m",
-                self.overlap_m,
-                self.overlap_m >= 0.0 && self.overlap_m.is_finite(),
-            ),
-            ("residual_px", self.residual_px, positive(self.residual_px)),
-            ("gsd_m", self.gsd_m.unwrap_or(1.0), self.gsd_m.is_none_or(positive)),
-        ] {
-            if !fits {
-                return Err(format!("tiles.{key} is {value}, expected a finite number above zero"));
-            }
+        let (least, gsd_m) = (f64::MIN_POSITIVE, self.gsd_m.unwrap_or(1.0));
+        let limits = [
+            ("overlap_m", self.overlap_m, 0.0),
+            ("residual_px", self.residual_px, least),
+            ("gsd_m", gsd_m, least),
+        ];
+        if let Some((key, value, _)) = limits
+            .iter()
+            .find(|(_, value, least)| !(*least..=f64::MAX).contains(value))
+        {
+            return Err(format!("tiles.{key} is {value}, expected a finite number above zero"));
         }
         if let Some(side_m) = self.side_m.filter(|side_m| !(LEAST_SIDE_M..=1e6).contains(side_m)) {
             return Err(format!("tiles.side_m is {side_m}, expected {LEAST_SIDE_M} m or more"));
         }
         if !BLOCK_CELLS.contains(&self.block) {
             let [least, most] = [BLOCK_CELLS.start(), BLOCK_CELLS.end()];
-            return Err(format!(
-                "tiles.block is {}, expected {least} to {most} cells",
-                self.block
-            ));
+            return Err(format!("tiles.block is {block}, expected {least} to {most} cells"));
         }
         Ok(())
     }
@@ -255,8 +249,7 @@ impl ProductOptions {
             ));
         }
         if let Some(days) = &self.sun_hours {
-            days.parse::<Period>()
-                .map_err(|reason| format!("products.sun_hours: {reason}"))?;
+            (days.parse::<Period>()).map_err(|reason| format!("products.sun_hours: {reason}"))?;
         }
         if self.dsm_only && (self.sun_hours.is_some() || self.globe) {
             return Err("products.dsm_only leaves sun_hours and globe out; say one or the other".into());
@@ -271,22 +264,12 @@ impl Manifest {
     /// # Errors
     /// Message with the fault and its place: the line, or the key or entry.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let mut manifest: Self = toml::from_str(text).map_err(|error| {
-            let line = error
-                .span()
-                .map_or(1, |span| text[..span.start].matches('\n').count() + 1);
-            format!(
-                "line {line}: {}",
-                error.message().split_whitespace().collect::<Vec<_>>().join(" ")
-            )
-        })?;
+        let mut manifest: Self = toml::from_str(text).map_err(|error| toml_fault(&error, text))?;
         if manifest.areas.is_empty() {
+            let name = "all".into();
             manifest.areas.push(AreaEntry {
-                name: "all".into(),
-                bounds: None,
-                crs: None,
-                altitude_m: None,
-                images: None,
+                name,
+                ..AreaEntry::default()
             });
         }
         if manifest.presets.is_empty() {
@@ -326,18 +309,14 @@ impl Manifest {
         if let Some(to) = &self.deliver
             && (!OBJECT_STORES.iter().any(|store| to.starts_with(store)) || to.contains(".."))
         {
-            return Err(format!(
-                "deliver is '{to}', expected a folder on one of {}",
-                OBJECT_STORES.join(", ")
-            ));
+            let stores = OBJECT_STORES.join(", ");
+            return Err(format!("deliver is '{to}', expected a folder on one of {stores}"));
         }
         self.tiles.check()?;
         self.products.check()?;
         for area in &self.areas {
             if let Some(request) = area.request() {
-                request
-                    .check()
-                    .map_err(|reason| format!("area {}: {reason}", area.name))?;
+                (request.check()).map_err(|reason| format!("area {}: {reason}", area.name))?;
             }
             for name in area.images.iter().flatten() {
                 if !self.images.iter().any(|images| images.name == *name) {
@@ -346,15 +325,13 @@ impl Manifest {
             }
         }
         for preset in &self.presets {
+            let name = &preset.name;
             if preset.parsed().is_err() {
-                let name = &preset.name;
                 return Err(format!(
                     "preset {name}: say preset = \"sweep\", \"preview\", \"fast\", \"balanced\", \"accurate\" or \"best\""
                 ));
             }
-            preset
-                .config()
-                .map_err(|error| format!("preset {}: {error}", preset.name))?;
+            preset.config().map_err(|error| format!("preset {name}: {error}"))?;
         }
         Ok(())
     }
@@ -376,11 +353,9 @@ pub fn bytes(text: &str) -> Result<u64, String> {
 fn names<'n>(what: &str, names: impl Iterator<Item = &'n String>) -> Result<(), String> {
     let mut known = BTreeSet::new();
     for name in names {
-        let plain = name
-            .chars()
-            .all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.'));
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
         let begins = name.starts_with(|c: char| c.is_ascii_alphanumeric());
-        if !(plain && begins && name.len() <= LONGEST_NAME) {
+        if !(name.chars().all(is_plain) && begins && name.len() <= LONGEST_NAME) {
             let shown: String = name.chars().take(LONGEST_NAME).collect();
             return Err(format!(
                 "{what}: '{shown}' is no name; use letters, digits, '-', '_' and '.', a letter or digit first, {LONGEST_NAME} at most"

@@ -70,11 +70,7 @@ pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
     let at = places.cells([work.bounds[0], work.bounds[3]]);
     paste(&mut altitude, &raster, at);
     Ok(Mosaic {
-        dsm: Dsm {
-            raster,
-            grid: grid.clone(),
-            geoid: None,
-        },
+        dsm: Dsm::above_ellipsoid(raster, grid.clone()),
         grid,
         parts,
         around: Surroundings {

@@ -332,10 +332,8 @@ fn part<T: serde::Serialize>(made: &str, content: &T) -> serde_json::Result<Vec<
 impl Unit {
     /// True if it merges products of other units, and is quickly made again.
     pub(super) fn is_joint(&self) -> bool {
-        matches!(
-            self.work,
-            Work::Colours(_) | Work::Mosaic(_) | Work::Block(_) | Work::Joined(_)
-        )
+        use Work::{Block, Colours, Joined, Mosaic};
+        matches!(self.work, Colours(_) | Mosaic(_) | Block(_) | Joined(_))
     }
 
     /// Reason of the refusal if the scene cannot be used.
@@ -351,10 +349,8 @@ impl Unit {
 fn make(manifest: &Manifest, hashes: &mut Hashes) -> (Plan, Vec<PathBuf>) {
     let (mut units, mut files) = (Vec::new(), Vec::new());
     for area in &manifest.areas {
-        let wanted = |images: &&ImagesEntry| {
-            let named = area.images.as_ref();
-            named.is_none_or(|names| names.contains(&images.name))
-        };
+        let named = area.images.as_ref();
+        let wanted = |images: &&ImagesEntry| named.is_none_or(|names| names.contains(&images.name));
         for images in manifest.images.iter().filter(wanted) {
             match units_of(manifest, area, images, hashes) {
                 Ok((more, of)) => {
@@ -394,9 +390,9 @@ fn units_of(
 ) -> Result<(Vec<Unit>, Vec<PathBuf>), BatchError> {
     let options = IngestOptions {
         altitude_range_m: area.altitude_m.map(|[low, high]| (low, high)),
-        altitude_from_ties_m: None,
         rpc: images.rpc,
         area: area.request(),
+        ..IngestOptions::default()
     };
     // Once for all tiles, so that they have one altitude range.
     let index = Index::open(&images.scene, options.rpc)?;
@@ -484,11 +480,8 @@ struct Combination<'a> {
 impl Combination<'_> {
     fn units(&self, tiling: &Tiling, survey: &Survey, cameras: Option<&Unit>) -> Vec<Unit> {
         let home = format!("{}/{}/{}", self.area.name, self.images.name, self.preset.name);
-        let mut units: Vec<Unit> = tiling
-            .tiles
-            .iter()
-            .map(|tile| self.tile(&home, tiling, tile, cameras))
-            .collect();
+        let tiles = tiling.tiles.iter();
+        let mut units: Vec<Unit> = tiles.map(|tile| self.tile(&home, tiling, tile, cameras)).collect();
         units.extend(self.joint(&home, tiling, survey, &units));
         units
     }
@@ -512,26 +505,37 @@ impl Combination<'_> {
                 ..self.products.clone()
             },
         };
-        let said = format!(
-            "{}tile\n{:?} {:?} {} {} {:?} {:?}\n{}\n{}",
-            identity_of_program(),
-            cameras.map(|unit| &unit.key),
-            work.ingest,
-            work.crs,
-            work.gsd_m,
-            work.products,
-            self.deliver,
-            self.config,
-            self.inputs
-        );
+        let identity = format!("tile {:?} {} {} {:?}", work.ingest, work.crs, work.gsd_m, work.products);
+        let cost = (tile.estimate.peak_bytes, tile_s(tile));
+        let after: Vec<&Unit> = cameras.into_iter().collect();
+        self.unit(
+            format!("{home}/{}", tile.name()),
+            &after,
+            cost,
+            &identity,
+            Work::Tile(work),
+        )
+    }
+
+    /// A unit that waits for others, takes these bytes and seconds beyond the start of a process, and has the key of
+    /// the program, of the units before it, of `identity`, and of settings and files of the scene.
+    fn unit(&self, id: String, after: &[&Unit], (bytes, seconds): (f64, f64), identity: &str, work: Work) -> Unit {
+        let keys: Vec<&str> = after.iter().map(|unit| unit.key.as_str()).collect();
+        let (program, keys) = (identity_of_program(), keys.join("\n"));
+        let Self {
+            deliver,
+            config,
+            inputs,
+            ..
+        } = self;
         Unit {
-            id: format!("{home}/{}", tile.name()),
-            after: work.cameras.iter().cloned().collect(),
-            mem_mb: mebibytes(tile.estimate.peak_bytes.max(LEAST_BYTES)),
-            runtime_s: (LEAST_S + tile_s(tile)).ceil() as u64,
-            key: digest(&said),
-            deliver: self.deliver.cloned(),
-            work: Work::Tile(work),
+            id,
+            after: after.iter().map(|unit| unit.id.clone()).collect(),
+            mem_mb: mebibytes(bytes.max(LEAST_BYTES)),
+            runtime_s: (LEAST_S + seconds).ceil() as u64,
+            key: digest(&format!("{program}{keys}\n{identity}\n{deliver:?}\n{config}\n{inputs}")),
+            deliver: deliver.cloned(),
+            work,
         }
     }
 }

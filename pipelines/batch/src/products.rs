@@ -303,11 +303,7 @@ fn globe(
         gains: gains.clone(),
     };
     let tiles = mosaic.parts.pieces.iter().zip(runs).zip(gains).map(tile).collect();
-    let dsm = Dsm {
-        raster: mosaic.above_ellipsoid(),
-        grid: mosaic.grid.clone(),
-        geoid: None,
-    };
+    let dsm = Dsm::above_ellipsoid(mosaic.above_ellipsoid(), mosaic.grid.clone());
     let exported = Subject::Mosaic(Box::new(export::Mosaic::new(folder, dsm, albedo, tiles, reference)?));
     for (name, tiles_of_mesh) in [(SPLATS, false), (SURFACE, true)] {
         let request = export::Request {

@@ -24,15 +24,9 @@ pub fn pending(unit: &Unit, out: &Path) -> Row {
             Work::Block(_) => "block",
             Work::Refused { .. } => "refused",
         },
-        state: State::Pending,
-        seconds: None,
-        peak_rss_bytes: None,
         mem_mb: unit.mem_mb,
-        mae_m: None,
-        completeness: None,
         log: log_of(out, unit).display().to_string(),
-        error: None,
-        metrics: Value::Null,
+        ..Row::default()
     }
 }
 

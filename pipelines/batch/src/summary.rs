@@ -49,12 +49,10 @@ pub fn write(rows: &[Row], plan: &Plan, out: &Path) -> Result<(), RasterError> {
 
 /// Folders and STAC items of the finished mosaics.
 fn items(rows: &[Row], out: &Path) -> Vec<(String, Value)> {
-    let done = rows
-        .iter()
-        .filter(|row| row.state.is_done() && row.metrics.get("products").is_some());
-    done.filter_map(|row| {
+    let has_item = |row: &&Row| row.state.is_done() && row.metrics.get("products").is_some();
+    let item = |row: &Row| {
         let text = heliosplat_raster::bounded::read_text(&out.join(&row.unit).join("item.json")).ok()?;
         Some((row.unit.clone(), serde_json::from_str(&text).ok()?))
-    })
-    .collect()
+    };
+    rows.iter().filter(has_item).filter_map(item).collect()
 }

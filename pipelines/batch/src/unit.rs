@@ -93,21 +93,17 @@ pub fn do_unit(
         Work::Joined(work) => joined::join(work, &unit.id, out, &folder)?,
         Work::Refused { reason } => return Err(BatchError::Refused(reason.clone())),
     };
-    let seconds = metrics["seconds"]
-        .as_f64()
-        .unwrap_or_else(|| begun.elapsed().as_secs_f64());
-    let mut stamp = Stamp {
+    let seconds = metrics["seconds"].as_f64();
+    let outputs = outputs.iter().map(|output| Output::of(&folder, output));
+    let stamp = Stamp {
         unit: unit.id.clone(),
         key: unit.key.clone(),
         build: build().into(),
-        outputs: Vec::new(),
-        seconds,
+        outputs: outputs.collect::<Result<_, _>>()?,
+        seconds: seconds.unwrap_or_else(|| begun.elapsed().as_secs_f64()),
         peak_rss_bytes: peak_rss_bytes(),
         metrics,
     };
-    for output in outputs {
-        stamp.outputs.push(Output::of(&folder, &output)?);
-    }
     let text = serde_json::to_string_pretty(&stamp).unwrap_or_default();
     if unit.deliver.is_some() {
         // A unit counts as finished when its products are on the store.
@@ -147,10 +143,8 @@ fn tile(
     let begun = Instant::now();
     let scene = match scene_of(work) {
         Err(SceneError::NotCovered(..)) => {
-            tracing::warn!(
-                "{}: fewer than two images have pixels here, so that it has no surface",
-                unit.id
-            );
+            let id = &unit.id;
+            tracing::warn!("{id}: fewer than two images have pixels here, so that it has no surface");
             return Ok((Vec::new(), json!({"empty": true})));
         }
         scene => scene?,
@@ -212,10 +206,8 @@ fn share_cameras(config: &mut SatelliteConfig, scene: &Scene, path: &Path) -> Re
     // With alignment on and no shifts, the tile would correct its pointing itself.
     config.cameras.align = Align::Off;
     let middle = |window: &Window| window.row0 as f64 + (window.height as f64 - 1.0) / 2.0;
-    let rows = scene
-        .images
-        .iter()
-        .map(|image| (image.name.as_str(), middle(&image.window)));
+    let images = scene.images.iter();
+    let rows = images.map(|image| (image.name.as_str(), middle(&image.window)));
     config.cameras.shifts_px = cameras.shifts_at(&rows.collect());
     config.cameras.left_out = cameras.left_out;
     Ok(())
@@ -227,10 +219,8 @@ fn ties(work: &TiesWork, folder: &Path, session: &Session) -> Result<Done, Batch
     let config = work.preset.config()?;
     let ties = PatchTies::find(&index, &work.ingest, &work.patches, &config, session)?;
     ties.write(&folder.join(TIES))?;
-    Ok((
-        vec![TIES.into()],
-        json!({"patches": work.patches.len(), "ties": ties.count()}),
-    ))
+    let metrics = json!({"patches": work.patches.len(), "ties": ties.count()});
+    Ok((vec![TIES.into()], metrics))
 }
 
 /// Corrects the pointing of each image, once for all tiles.
@@ -276,10 +266,8 @@ fn swept(
     let dsm = dsm::of_surface(&scene.into(), &surface, work.gsd_m, Some(&work.crs))?;
     let path = folder.join("dsm.tif");
     dsm.write(&path)?;
-    preview::write_png(
-        &folder.join("dsm.png"),
-        &preview::hillshade(&dsm.altitude(), work.gsd_m),
-    )?;
+    let shade = preview::hillshade(&dsm.altitude(), work.gsd_m);
+    preview::write_png(&folder.join("dsm.png"), &shade)?;
     let mut metrics = json!({"residual_px": residual_px(scene)});
     if let Some(truth) = &scene.truth.dsm {
         let evaluation = evaluate_dsm(&path, truth, scene.truth.classes.as_deref(), Protocol::Raw)?;

@@ -105,7 +105,7 @@ impl From<TrainingError> for CliError {
         match error {
             TrainingError::Checkpoint(error) => error.into(),
             TrainingError::Interrupted(_) => Self::Interrupted(error.to_string()),
-            TrainingError::Train(_) | TrainingError::GaveUp { .. } => Self::Failed(error.to_string()),
+            TrainingError::Train(_) | TrainingError::GaveUp(..) => Self::Failed(error.to_string()),
         }
     }
 }

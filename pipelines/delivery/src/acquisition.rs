@@ -20,14 +20,12 @@ const LOW_SUN_DEG: f64 = 5.0;
 /// Acquisition time and sun angles of an image; precedence: `scene.toml`, a Sat-NeRF JSON, texts beside the image,
 /// GDAL's metadata domains.
 pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> Result<Acquisition, SceneError> {
-    let mut known = Acquisition::default();
-    if let Some(said) = &entry.said {
-        known = Acquisition {
-            time: said.time,
-            sun_azimuth_deg: said.sun_azimuth_deg,
-            sun_elevation_deg: said.sun_elevation_deg,
-        };
-    }
+    let stated = entry.said.as_ref().map(|said| Acquisition {
+        time: said.time,
+        sun_azimuth_deg: said.sun_azimuth_deg,
+        sun_elevation_deg: said.sun_elevation_deg,
+    });
+    let mut known = stated.unwrap_or_default();
     for path in describing_texts(entry, file.path(), folders)? {
         if let Some(more) = acquisition::from_text(&file_name(&path), &folders.text(&path)?) {
             known = known.merge(more);
@@ -45,15 +43,12 @@ pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> 
 pub(super) fn sun(image: &Path, known: &Acquisition, at: GeoPoint, warnings: &mut Vec<String>) -> ImageSun {
     let metadata = known.stated_sun().filter(is_day);
     let computed = known.time.map(|time| sun_position(time, at)).filter(is_day);
-    let found = match (computed, metadata) {
-        (Some(sun), _) => ImageSun::from_time(sun),
-        (None, Some(sun)) => ImageSun::from_metadata(sun),
+    let (found, position) = match (computed, metadata) {
+        (Some(sun), _) => (ImageSun::from_time(sun), sun),
+        (None, Some(sun)) => (ImageSun::from_metadata(sun), sun),
         (None, None) => return ImageSun::unknown(),
     };
-    let Some(position) = found.position else {
-        return found;
-    };
-    let elevation_deg = position.elevation_rad.to_degrees();
+    let [_, elevation_deg] = position.degrees();
     if elevation_deg < LOW_SUN_DEG {
         warnings.push(format!(
             "{}: the sun is only {elevation_deg:.1} degrees above the horizon; its shadows leave the scene",
@@ -64,7 +59,7 @@ pub(super) fn sun(image: &Path, known: &Acquisition, at: GeoPoint, warnings: &mu
         && apart_deg > WORTH_A_WARNING_DEG
     {
         let angles = |sun: SunPosition| {
-            let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
+            let [azimuth, elevation] = sun.degrees();
             format!("azimuth {azimuth:.1}, elevation {elevation:.1}")
         };
         warnings.push(format!(

@@ -65,31 +65,25 @@ pub(super) fn choose(
     stated: &[Stated],
     warnings: &mut Vec<String>,
 ) -> Result<AltitudeRange, SceneError> {
-    if let Some(range) = said.option_m {
-        return checked(range, AltitudeSource::Given, "as given");
-    }
-    if let Some(range) = said.manifest_m {
-        return checked(range, AltitudeSource::Given, "from scene.toml");
-    }
-    let from_json = stated
-        .iter()
-        .filter_map(|image| image.json_m)
-        .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
-    if let Some(range) = from_json {
-        return checked(
-            range,
+    let from_json = stated.iter().filter_map(|image| image.json_m);
+    let from_json = from_json.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+    let sources = [
+        (said.option_m, AltitudeSource::Given, "as given"),
+        (said.manifest_m, AltitudeSource::Given, "from scene.toml"),
+        (
+            from_json,
             AltitudeSource::Given,
             "from min_alt and max_alt of the JSON files",
-        );
+        ),
+        (said.ties_m, AltitudeSource::Ties, "from tie points between the images"),
+    ];
+    for (range, source, words) in sources {
+        if let Some(range) = range {
+            return checked(range, source, words);
+        }
     }
-    if let Some(range) = said.ties_m {
-        return checked(range, AltitudeSource::Ties, "from tie points between the images");
-    }
-    let range = checked(
-        valid_for_all(stated),
-        AltitudeSource::Cameras,
-        "from the RPC cameras' height range",
-    )?;
+    let words = "from the RPC cameras' height range";
+    let range = checked(valid_for_all(stated), AltitudeSource::Cameras, words)?;
     warnings.push(format!(
         "altitudes from {:.0} to {:.0} m are searched, which is all its RPC cameras allow; --altitude MIN,MAX makes it faster and safer",
         range.low_m, range.high_m
@@ -106,19 +100,15 @@ pub(super) fn valid_for_all(stated: &[Stated]) -> (f64, f64) {
 
 fn checked((low_m, high_m): (f64, f64), source: AltitudeSource, origin: &str) -> Result<AltitudeRange, SceneError> {
     // NaN fails this test too.
-    if low_m < high_m && low_m >= EARTH_M.0 - 500.0 && high_m <= EARTH_M.1 + 500.0 {
-        Ok(AltitudeRange {
+    let words = origin.to_owned();
+    match low_m < high_m && low_m >= EARTH_M.0 - 500.0 && high_m <= EARTH_M.1 + 500.0 {
+        true => Ok(AltitudeRange {
             low_m,
             high_m,
             source,
-            words: origin.to_owned(),
-        })
-    } else {
-        Err(SceneError::AltitudeRange {
-            low_m,
-            high_m,
-            origin: origin.to_owned(),
-        })
+            words,
+        }),
+        false => Err(SceneError::AltitudeRange(low_m, high_m, words)),
     }
 }
 

@@ -33,15 +33,10 @@ pub(super) fn plan(
         return Err(SceneError::Palette(file.path().to_owned()));
     }
     if let Some(declared) = declared {
-        if declared.len() != file.bands.len() {
-            return Err(SceneError::Manifest(
-                file.path().to_owned(),
-                format!(
-                    "it has {} bands, but scene.toml declares {}; correct `bands` there",
-                    file.bands.len(),
-                    declared.len()
-                ),
-            ));
+        let (own, stated) = (file.bands.len(), declared.len());
+        if own != stated {
+            let reason = format!("it has {own} bands, but scene.toml declares {stated}; correct `bands` there");
+            return Err(SceneError::Manifest(file.path().to_owned(), reason));
         }
         return Ok(ordered(declared, &(0..declared.len()).collect::<Vec<_>>(), None, None));
     }
@@ -94,19 +89,12 @@ fn sensor_of(file: &RasterFile) -> Option<Sensor> {
 fn sensor_by_name(name: &str) -> Option<Sensor> {
     let name = name.to_uppercase();
     let parts: Vec<&str> = name.split(['_', '-']).collect();
-    let numbered = |start: &str| {
-        let number = |part: &str| {
-            part.strip_prefix(start)
-                .is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()))
-        };
-        parts.iter().any(|part| number(part))
+    let is_numbered = |part: &&str, start: &str| {
+        let number = part.strip_prefix(start);
+        number.is_some_and(|number| number.starts_with(|c: char| c.is_ascii_digit()))
     };
-    let first = parts.first().copied().unwrap_or("");
-    let begins = |start: &str| {
-        first
-            .strip_prefix(start)
-            .is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()))
-    };
+    let begins = |start: &str| parts.first().is_some_and(|part| is_numbered(part, start));
+    let numbered = |start: &str| parts.iter().any(|part| is_numbered(part, start));
     // Product parts such as M1BS, M2AS and M3DS.
     let is_maxar = |part: &&str| {
         let bytes = part.as_bytes();
@@ -141,11 +129,8 @@ fn order_in_dimap(text: &str) -> Option<Vec<BandKind>> {
         let (_, rest) = text.split_once(&format!("<{name}>"))?;
         Some(rest.split_once("</")?.0.trim().to_uppercase())
     };
-    let list = text
-        .split_once("<Raster_Index_List>")?
-        .1
-        .split_once("</Raster_Index_List>")?
-        .0;
+    let (_, rest) = text.split_once("<Raster_Index_List>")?;
+    let (list, _) = rest.split_once("</Raster_Index_List>")?;
     let mut places = Vec::new();
     for entry in list.split("<Raster_Index>").skip(1) {
         let place: usize = inside(entry, "BAND_INDEX")?.parse().ok()?;
@@ -164,10 +149,8 @@ fn from_infos(bands: &[BandInfo], order: Option<&[BandKind]>) -> BandPlan {
     use BandKind::{Blue, Green, NearInfrared, Other, Pan, Red};
     let alpha = bands.iter().position(|band| band.colour == Colour::Alpha);
     let data: Vec<usize> = (0..bands.len()).filter(|&index| Some(index) != alpha).collect();
-    let described: Vec<BandKind> = data
-        .iter()
-        .map(|&index| from_description(&bands[index].description))
-        .collect();
+    let described = data.iter().map(|&index| from_description(&bands[index].description));
+    let described: Vec<BandKind> = described.collect();
     if described.iter().any(|&kind| kind != Other) {
         return ordered(&described, &data, alpha, None);
     }
@@ -179,10 +162,10 @@ fn from_infos(bands: &[BandInfo], order: Option<&[BandKind]>) -> BandPlan {
     let has_rgb = [Red, Green, Blue].iter().all(|kind| coloured.contains(kind));
     // Red, green, blue and one band of unknown colour: the fourth band of all satellites is near infrared.
     if has_rgb && data.len() <= 4 {
-        let kinds: Vec<BandKind> = coloured
+        let kinds = coloured
             .iter()
-            .map(|&kind| if kind == Other { NearInfrared } else { kind })
-            .collect();
+            .map(|&kind| if kind == Other { NearInfrared } else { kind });
+        let kinds: Vec<BandKind> = kinds.collect();
         return ordered(&kinds, &data, alpha, None);
     }
     let assumed = |what: &str| Some(format!("its bands have no names; assumed to be {what}"));
@@ -228,35 +211,30 @@ fn ordered(kinds: &[BandKind], files: &[usize], alpha: Option<usize>, assumption
 fn from_description(description: &str) -> BandKind {
     let text = description.to_lowercase().replace(['_', '-', ' '], "");
     let has = |part: &str| text.contains(part);
-    match text.as_str() {
-        "r" => return BandKind::Red,
-        "g" => return BandKind::Green,
-        "b" => return BandKind::Blue,
-        "n" | "p" => {
-            return if text == "n" {
-                BandKind::NearInfrared
-            } else {
-                BandKind::Pan
-            };
-        }
-        _ => {}
-    }
     // The second near-infrared band of WorldView covers other wavelengths than the near infrared of other satellites.
-    if has("nir2") || has("rededge") || has("coastal") || has("yellow") || has("deepblue") || has("swir") {
-        BandKind::Other
-    } else if has("nir") || has("infrared") {
-        BandKind::NearInfrared
-    } else if has("pan") {
-        BandKind::Pan
-    } else if has("red") {
-        BandKind::Red
-    } else if has("green") {
-        BandKind::Green
-    } else if has("blue") {
-        BandKind::Blue
-    } else {
-        BandKind::Other
+    use BandKind::{Blue, Green, NearInfrared, Other, Pan, Red};
+    let letters = [("r", Red), ("g", Green), ("b", Blue), ("n", NearInfrared), ("p", Pan)];
+    if let Some((_, kind)) = letters.iter().find(|(letter, _)| *letter == text) {
+        return *kind;
     }
+    if ["nir2", "rededge", "coastal", "yellow", "deepblue", "swir"]
+        .into_iter()
+        .any(has)
+    {
+        return Other;
+    }
+    let parts = [
+        ("nir", NearInfrared),
+        ("infrared", NearInfrared),
+        ("pan", Pan),
+        ("red", Red),
+        ("green", Green),
+        ("blue", Blue),
+    ];
+    parts
+        .iter()
+        .find(|(part, _)| has(part))
+        .map_or(Other, |(_, kind)| *kind)
 }
 
 fn from_colour(colour: Colour) -> BandKind {

@@ -56,17 +56,15 @@ pub(super) fn find(
     warnings: &mut Vec<String>,
 ) -> Result<Cameras, SceneError> {
     if let Some(path) = entry.said.as_ref().and_then(|said| said.rpc.as_ref()) {
-        return Ok(Cameras {
-            used: from_text_file(path, folders)?,
-            others: Vec::new(),
-            unread: Vec::new(),
-        });
+        let (used, others, unread) = (from_text_file(path, folders)?, Vec::new(), Vec::new());
+        return Ok(Cameras { used, others, unread });
     }
     let json = entry.json.as_deref();
     let (mut all, mut unread) = of_files(file, json, folders)?;
     if let Some(json) = json {
+        let kind = Kind::Json;
         all.push(FoundCamera {
-            kind: Kind::Json,
+            kind,
             ..from_text_file(json, folders)?
         });
     }
@@ -94,18 +92,12 @@ pub(super) fn find(
             true => SceneError::NoRpc(path()),
         });
     };
-    if let Some(shift) = used.source.split_once(", shifted by ") {
-        let shift = shift.1;
-        warnings.push(format!(
-            "{}: its RPC is that of the full image; shifted by {shift}",
-            file.path().display()
-        ));
+    if let Some((_, shift)) = used.source.split_once(", shifted by ") {
+        let path = file.path().display();
+        warnings.push(format!("{path}: its RPC is that of the full image; shifted by {shift}"));
     }
-    Ok(Cameras {
-        used,
-        others: others.collect(),
-        unread,
-    })
+    let others = others.collect();
+    Ok(Cameras { used, others, unread })
 }
 
 /// Geotransform and coordinate system of a map-projected file. `None` for a rotated geotransform: frames fitted to the
@@ -121,14 +113,10 @@ pub(super) fn map_frame(file: &RasterFile) -> Option<(GeoTransform, Crs)> {
 /// # Errors
 /// [`SceneError::BadRpc`] when the file contains no camera.
 pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCamera, SceneError> {
-    let text = folders.text(path)?;
-    let rpc = read::rpc_from_text(&file_name(path), &text)
-        .map_err(|error| SceneError::BadRpc(path.to_owned(), error.to_string()))?;
-    Ok(FoundCamera {
-        rpc,
-        source: file_name(path),
-        kind: Kind::Sidecar,
-    })
+    let (source, kind) = (file_name(path), Kind::Sidecar);
+    let rpc = read::rpc_from_text(&source, &folders.text(path)?);
+    let rpc = rpc.map_err(|error| SceneError::BadRpc(path.to_owned(), error.to_string()))?;
+    Ok(FoundCamera { rpc, source, kind })
 }
 
 /// Cameras, and unreadable camera files with the reason.
@@ -158,27 +146,19 @@ fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result
         has_sidecar = true;
         take(read::gdal_domain(&by_gdal), &path, file_name(&path), Kind::Sidecar);
     }
-    let tag = file.own_domain("RPC");
+    let (tag, source) = (file.own_domain("RPC"), "image".to_owned());
     if !tag.is_empty() {
-        take(read::gdal_domain(&tag), file.path(), "image".to_owned(), Kind::Tag);
+        take(read::gdal_domain(&tag), file.path(), source, Kind::Tag);
     } else if !has_sidecar && !by_gdal.is_empty() {
-        take(
-            read::gdal_domain(&by_gdal),
-            file.path(),
-            "image".to_owned(),
-            Kind::Sidecar,
-        );
+        take(read::gdal_domain(&by_gdal), file.path(), source, Kind::Sidecar);
     }
     Ok((found, unread))
 }
 
 /// True if `name` (in lower case) is that of a file with nothing but a camera.
 fn is_camera_file(name: &str) -> bool {
-    let is_xml = name.starts_with("rpc_") && name.ends_with(".xml");
-    is_xml
-        || [".rpb", ".rpc", "_rpc.txt", "_rpc.xml"]
-            .iter()
-            .any(|end| name.ends_with(end))
+    let ends = [".rpb", ".rpc", "_rpc.txt", "_rpc.xml"];
+    name.starts_with("rpc_") && name.ends_with(".xml") || ends.iter().any(|end| name.ends_with(end))
 }
 
 /// GDAL's `.aux.xml` beside an image, if it contains an RPC.
@@ -272,11 +252,8 @@ fn crop_in_full_image(file: &RasterFile, rpc: &Rpc) -> Option<(CropInFull, &'sta
     // The RPC was shifted already and the transform kept: another shift would leave the camera's domain.
     let shifted_twice = outside(centre(first[1], height), rpc.line_offset, rpc.line_scale)
         || outside(centre(first[0], width), rpc.sample_offset, rpc.sample_scale);
-    let crop = CropInFull {
-        first,
-        factor: [1.0; 2],
-    };
-    (!shifted_twice).then_some((crop, "geotransform"))
+    let factor = [1.0; 2];
+    (!shifted_twice).then_some((CropInFull { first, factor }, "geotransform"))
 }
 
 /// Origin of a geotransform with pixel steps of one; `None` for any other transform and for the identity.
@@ -298,12 +275,9 @@ fn nitf_chip(items: &BTreeMap<String, String>) -> Option<CropInFull> {
         (factor.is_finite() && factor > 0.0).then_some((full - chip * factor, factor))
     };
     let ((col0, col_factor), (row0, row_factor)) = (axis("COL")?, axis("ROW")?);
-    let crop = CropInFull {
-        first: [col0, row0],
-        factor: [col_factor, row_factor],
-    };
-    let is_whole = crop.first == [0.0; 2] && crop.factor == [1.0; 2];
-    (!is_whole).then_some(crop)
+    let (first, factor) = ([col0, row0], [col_factor, row_factor]);
+    let is_whole = first == [0.0; 2] && factor == [1.0; 2];
+    (!is_whole).then_some(CropInFull { first, factor })
 }
 
 /// Largest half range of heights over which two cameras are compared, metres: half of the range of heights on Earth.

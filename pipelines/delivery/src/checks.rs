@@ -49,11 +49,8 @@ pub(super) struct Found {
 
 impl Found {
     fn plain(what: String) -> Self {
-        Self {
-            value: None,
-            bound: None,
-            what,
-        }
+        let (value, bound) = (None, None);
+        Self { value, bound, what }
     }
 
     fn above(value: f64, bound: f64, what: String) -> Option<Self> {
@@ -117,10 +114,8 @@ const CHECKS: [Check; 6] = [
 /// All failed checks, in the order of the table; equal findings of several images are merged into one.
 pub(super) fn all(drafts: &[Draft], preference: RpcPreference) -> Vec<Finding> {
     let of_row = |check: &Check| {
-        let found = drafts
-            .iter()
-            .filter_map(|draft| Some((draft, (check.find)(draft, preference)?)));
-        let mut found: Vec<(&Draft, Found)> = found.collect();
+        let find = |draft| Some((draft, (check.find)(draft, preference)?));
+        let mut found: Vec<(&Draft, Found)> = drafts.iter().filter_map(find).collect();
         // The image with the largest value comes first; the sort is stable and keeps the order of the images.
         found.sort_by(|(_, a), (_, b)| b.value.unwrap_or(0.0).total_cmp(&a.value.unwrap_or(0.0)));
         let (first, worst) = found.first()?;
@@ -169,10 +164,8 @@ fn map_projected(draft: &Draft, _: RpcPreference) -> Option<Found> {
             let seen = draft.rpc.project(GeoPoint::new(lon_deg, lat_deg, height_m));
             (seen.col - col).hypot(seen.row - row)
         });
-        off.fold(
-            0.0,
-            |most: f64, off| if off.is_nan() { f64::INFINITY } else { most.max(off) },
-        )
+        let larger = |most: f64, off: f64| if off.is_nan() { f64::INFINITY } else { most.max(off) };
+        off.fold(0.0, larger)
     };
     let (middle_m, half_m) = (draft.rpc.height_offset_m, draft.rpc.height_scale_m.abs());
     let least = least_of(&apart_px, middle_m - half_m, middle_m + half_m);
@@ -246,9 +239,9 @@ fn differing(cameras: &Cameras, size: (usize, usize)) -> Option<Found> {
 fn unread(draft: &Draft, _: RpcPreference) -> Option<Found> {
     let (path, reason) = draft.cameras.unread.first()?;
     let used = &draft.cameras.used.source;
+    let path = path.display();
     Some(Found::plain(format!(
-        "the RPC in {} cannot be read ({reason}); used: {used}",
-        path.display()
+        "the RPC in {path} cannot be read ({reason}); used: {used}"
     )))
 }
 

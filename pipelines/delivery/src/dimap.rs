@@ -66,10 +66,8 @@ impl Dimaps {
                 if let Some(tile) = tiles.values().find(|tile| !tile.is_file()) {
                     return Err(SceneError::MissingTile(tile.clone(), dimap.clone()));
                 }
-                found.push(ListedTiles {
-                    tiles,
-                    step_px: *step_px,
-                });
+                let step_px = *step_px;
+                found.push(ListedTiles { tiles, step_px });
             }
         }
         Ok(found)
@@ -83,14 +81,9 @@ impl Dimaps {
 
 /// Path of a listed file; `None` for a path outside of the DIMAP's folder.
 fn place(folder: &Path, file: &DataFile) -> Option<PathBuf> {
-    let relative = Path::new(&file.href);
-    let below = relative
-        .components()
-        .all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
-    let names: PathBuf = relative
-        .components()
-        .filter(|part| *part != Component::CurDir)
-        .collect();
+    let parts = || Path::new(&file.href).components();
+    let below = parts().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    let names: PathBuf = parts().filter(|part| *part != Component::CurDir).collect();
     below.then(|| folder.join(names))
 }
 

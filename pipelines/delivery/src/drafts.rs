@@ -4,7 +4,6 @@ use super::draft::Draft;
 use super::files::Folders;
 use super::layout::Layout;
 use super::{RpcPreference, SceneError, acquisition, bands, calibration, camera, files, pairs};
-use std::path::Path;
 
 /// Opens every image and reads its metadata.
 pub(super) fn read_all(
@@ -49,27 +48,24 @@ pub(super) fn read_all(
     }
     let drafts = pairs::by_time(drafts, declared, folders)?;
     warnings.extend(pairs::joined_pairs(&drafts));
-    let stacked: Vec<&Draft> = drafts
-        .iter()
-        .filter(|draft| !draft.entry.tiles.more.is_empty())
-        .collect();
-    if let Some(first) = stacked.first() {
-        warnings.push(format!(
-            "{}: one image with the bands of {} more file{} of the same acquisition ({} such images)",
+    // The assumption is equal for all images, so it is one warning.
+    let stacked = || drafts.iter().filter(|draft| !draft.entry.tiles.more.is_empty());
+    if let Some(first) = stacked().next() {
+        let (path, more, count) = (
             first.entry.path.display(),
             first.entry.tiles.more.len(),
-            if first.entry.tiles.more.len() == 1 { "" } else { "s" },
-            stacked.len()
+            stacked().count(),
+        );
+        let plural = if more == 1 { "" } else { "s" };
+        warnings.push(format!(
+            "{path}: one image with the bands of {more} more file{plural} of the same acquisition ({count} such images)"
         ));
     }
-    // The assumption is equal for all images, so it is one warning.
-    if let Some(assumption) = drafts.iter().find_map(|draft| draft.plan.assumption.as_ref()) {
+    let assumption = drafts.iter().find_map(|draft| draft.plan.assumption.as_ref());
+    if let Some((assumption, first)) = assumption.zip(drafts.first()) {
+        let path = first.entry.path.display();
         warnings.push(format!(
-            "{}: {assumption}; say otherwise with bands = [...] in a scene.toml",
-            drafts
-                .first()
-                .map_or(Path::new(""), |draft| &draft.entry.path)
-                .display()
+            "{path}: {assumption}; say otherwise with bands = [...] in a scene.toml"
         ));
     }
     Ok(drafts)

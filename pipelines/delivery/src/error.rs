@@ -13,20 +13,9 @@ pub enum SceneError {
     /// A web address instead of a path.
     #[error("{0}: addresses are not read; download the images and give their folder")]
     Address(String),
-    /// An image with more bands than a model renders.
-    #[error(
-        "{}: {bands} bands, and a model renders {most} at most; write the bands that matter to new files, as with `gdal_translate -b 1 -b 2 -b 3 -b 4 {} new.tif`",
-        path.display(),
-        path.display()
-    )]
-    TooManyBands {
-        /// The first image.
-        path: PathBuf,
-        /// Its number of bands.
-        bands: usize,
-        /// Largest number of bands.
-        most: usize,
-    },
+    /// An image with more bands than a model renders. Fields: the first image, its number of bands, the largest number.
+    #[error("{}: {} bands, and a model renders {} at most; write the bands that matter to new files, as with `gdal_translate -b 1 -b 2 -b 3 -b 4 {} new.tif`", .0.display(), .1, .2, .0.display())]
+    TooManyBands(PathBuf, usize, usize),
     /// A folder that cannot be listed, or a text that cannot be read. Fields: file or folder, reason, in words.
     #[error("{}: cannot be read ({})", .0.display(), .1)]
     Unreadable(PathBuf, String),
@@ -60,38 +49,17 @@ pub enum SceneError {
     /// A camera file that cannot be parsed. Fields: the camera file, or the image whose tag it is, reason, in words.
     #[error("{}: its RPC camera cannot be read ({}); replace it or delete it", .0.display(), .1)]
     BadRpc(PathBuf, String),
-    /// A camera that cannot be inverted over its image.
-    #[error("{}: its RPC camera does not work over this image at {height_m:.0} m ({source}); it may belong to another image, or the altitude range is wrong (--altitude MIN,MAX)", path.display())]
-    Camera {
-        /// The image.
-        path: PathBuf,
-        /// Ellipsoidal height tried, metres.
-        height_m: f64,
-        /// Failed operation.
-        source: RpcError,
-    },
-    /// Bands that differ between images.
-    #[error("{}: has {found}, but {} has {expected}; all images of a scene need the same bands, keep one kind per scene", path.display(), other.display())]
-    MixedBands {
-        /// The image that differs.
-        path: PathBuf,
-        /// Its bands, in words.
-        found: String,
-        /// The first image of the scene.
-        other: PathBuf,
-        /// The bands of the first image, in words.
-        expected: String,
-    },
-    /// Two files that look like the halves of one acquisition and are not.
-    #[error("{}: looks like the panchromatic image of {}, but {reason}; keep one of them in the folder", pan.display(), multispectral.display())]
-    NotAPair {
-        /// The panchromatic image.
-        pan: PathBuf,
-        /// The multispectral image.
-        multispectral: PathBuf,
-        /// Reason against a common acquisition.
-        reason: String,
-    },
+    /// A camera that cannot be inverted over its image. Fields: the image, ellipsoidal height tried (metres), failed
+    /// operation.
+    #[error("{}: its RPC camera does not work over this image at {:.0} m ({}); it may belong to another image, or the altitude range is wrong (--altitude MIN,MAX)", .0.display(), .1, .2)]
+    Camera(PathBuf, f64, #[source] RpcError),
+    /// Bands that differ between images. Fields: the image that differs, its bands in words; the first image, its bands.
+    #[error("{}: has {}, but {} has {}; all images of a scene need the same bands, keep one kind per scene", .0.display(), .1, .2.display(), .3)]
+    MixedBands(PathBuf, String, PathBuf, String),
+    /// Two files that look like the halves of one acquisition and are not. Fields: the panchromatic image, the
+    /// multispectral image, the reason.
+    #[error("{}: looks like the panchromatic image of {}, but {}; keep one of them in the folder", .0.display(), .1.display(), .2)]
+    NotAPair(PathBuf, PathBuf, String),
     /// An image with a colour table instead of measured values.
     #[error("{}: has a colour table instead of measured values; convert it with gdal_translate -expand rgb, or give the original", .0.display())]
     Palette(PathBuf),
@@ -101,38 +69,18 @@ pub enum SceneError {
     /// Fewer than two views to train on. Fields: the scene, number of training images.
     #[error("{}: {} training image{}; at least two overlapping views are needed", .0.display(), .1, if *.1 == 1 { "" } else { "s" })]
     TooFewViews(PathBuf, usize),
-    /// Images whose footprints do not overlap.
-    #[error("{}: does not overlap {} at {altitude_m:.0} m altitude; give images of one place, or correct the altitude range (--altitude MIN,MAX)", first.display(), second.display())]
-    NoOverlap {
-        /// One image.
-        first: PathBuf,
-        /// Another.
-        second: PathBuf,
-        /// Altitude at which the footprints were compared, metres.
-        altitude_m: f64,
-    },
-    /// Images of two places.
-    #[error("{}: shows another place than {}, {apart_km:.0} km away; give the images of one place, or choose one with --area WEST,SOUTH,EAST,NORTH", second.display(), first.display())]
-    OtherPlace {
-        /// An image of one place.
-        first: PathBuf,
-        /// An image of the other.
-        second: PathBuf,
-        /// Distance, kilometres.
-        apart_km: f64,
-    },
-    /// An altitude range that is empty or outside of the Earth's altitudes.
+    /// Images whose footprints do not overlap. Fields: two images, the altitude of the footprints (metres).
+    #[error("{}: does not overlap {} at {:.0} m altitude; give images of one place, or correct the altitude range (--altitude MIN,MAX)", .0.display(), .1.display(), .2)]
+    NoOverlap(PathBuf, PathBuf, f64),
+    /// Images of two places. Fields: an image of the second place, one of the first, their distance (kilometres).
+    #[error("{}: shows another place than {}, {:.0} km away; give the images of one place, or choose one with --area WEST,SOUTH,EAST,NORTH", .0.display(), .1.display(), .2)]
+    OtherPlace(PathBuf, PathBuf, f64),
+    /// An altitude range that is empty or outside of the Earth's altitudes. Fields: lower and upper end (metres), source
+    /// in words.
     #[error(
-        "altitude range {low_m} to {high_m} m ({origin}) is not usable; give --altitude MIN,MAX in metres above the ellipsoid, MIN below MAX"
+        "altitude range {0} to {1} m ({2}) is not usable; give --altitude MIN,MAX in metres above the ellipsoid, MIN below MAX"
     )]
-    AltitudeRange {
-        /// Lower end, metres.
-        low_m: f64,
-        /// Upper end, metres.
-        high_m: f64,
-        /// Source of the range, in words.
-        origin: String,
-    },
+    AltitudeRange(f64, f64, String),
     /// A raster that cannot be read.
     #[error(transparent)]
     Raster(#[from] RasterError),

@@ -139,10 +139,8 @@ pub(super) fn usable_mask(image: &Path, folders: &Folders) -> Option<PathBuf> {
             && stem(path).to_lowercase().contains("_udm")
             && mask_of(path).is_some_and(begins)
     };
-    let version = |path: &PathBuf| stem(path).to_lowercase().contains("_udm2");
-    let mut masks: Vec<PathBuf> = masks.into_iter().filter(fits).collect();
-    masks.sort_by_key(|path| std::cmp::Reverse(version(path)));
-    masks.into_iter().next()
+    let is_old = |path: &PathBuf| !stem(path).to_lowercase().contains("_udm2");
+    masks.into_iter().filter(fits).min_by_key(is_old)
 }
 
 /// Warning about a raster that this program wrote, which is neither image nor truth; `None` for any other raster.
@@ -160,10 +158,10 @@ pub(super) fn is_own_folder(folder: &Path) -> bool {
         let start = bounded::read_start(&folder.join(name), 1 << 16);
         String::from_utf8_lossy(&start).contains("heliosplat")
     };
-    ["run.toml", "model.json"]
+    let of_run = ["run.toml", "model.json"]
         .iter()
-        .any(|name| folder.join(name).is_file())
-        || ["item.json", "collection.json"].into_iter().any(ours)
+        .any(|name| folder.join(name).is_file());
+    of_run || ["item.json", "collection.json"].into_iter().any(ours)
 }
 
 /// Names, in lower case, of folders in which DFC2019, Sat-NeRF and EOGS publish one part of a scene each.

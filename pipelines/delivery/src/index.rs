@@ -103,10 +103,8 @@ impl Index {
         }
         warnings.extend(findings.iter().map(|found| found.message.clone()));
         let files = files_of(path, &layout, &drafts, &folders);
-        let images: Vec<IndexImage> = drafts
-            .into_iter()
-            .map(|draft| IndexImage::new(draft, layout.counts, &folders))
-            .collect();
+        let image = |draft| IndexImage::new(draft, layout.counts, &folders);
+        let images: Vec<IndexImage> = drafts.into_iter().map(image).collect();
         warnings.extend(eight_bits(&images));
         Ok(Self {
             source: path.to_owned(),
@@ -147,17 +145,10 @@ impl Index {
     /// `SceneError::Unreadable` when a file cannot be read.
     pub fn identity(&self, hashes: &mut Hashes) -> Result<String, SceneError> {
         let images = self.images.iter();
-        let mut rasters: BTreeSet<&Path> = images
-            .flat_map(|image| std::iter::once(&image.path).chain(&image.others))
-            .map(PathBuf::as_path)
-            .collect();
+        let images = images.flat_map(|image| std::iter::once(&image.path).chain(&image.others));
         let truth = [&self.truth.dsm, &self.truth.classes].into_iter().flatten();
-        rasters.extend(
-            truth
-                .chain(self.truth.shadows.iter().map(|(_, path)| path))
-                .map(PathBuf::as_path),
-        );
-        hashes.of(&self.files, &rasters)
+        let truth = truth.chain(self.truth.shadows.iter().map(|(_, path)| path));
+        hashes.of(&self.files, &images.chain(truth).map(PathBuf::as_path).collect())
     }
 
     /// The images of the training split.
@@ -176,17 +167,12 @@ impl IndexImage {
             (None, Some(_)) => (Counts::Linear, Some("image")),
             (None, None) => (Counts::Linear, None),
         };
-        let first_band = draft
-            .plan
-            .file_bands
-            .first()
-            .and_then(|&band| draft.file.bands.get(band));
+        let first_band = draft.plan.file_bands.first();
+        let first_band = first_band.and_then(|&band| draft.file.bands.get(band));
+        let (middle_m, half_m) = (draft.rpc.height_offset_m, draft.rpc.height_scale_m.abs());
         let altitude = Stated {
             json_m: (draft.entry.json.as_deref()).and_then(|json| super::satnerf::altitude_range(json, folders)),
-            rpc_m: (
-                draft.rpc.height_offset_m - draft.rpc.height_scale_m.abs(),
-                draft.rpc.height_offset_m + draft.rpc.height_scale_m.abs(),
-            ),
+            rpc_m: (middle_m - half_m, middle_m + half_m),
         };
         Self {
             name: draft.entry.name,
@@ -279,9 +265,7 @@ fn sibling_files(image: &Path, folders: &Folders) -> Vec<PathBuf> {
         return Vec::new();
     }
     let stem = names::stem(image);
-    let beside = folders.files(names::folder_of(image)).unwrap_or_default();
+    let mut beside = folders.files(names::folder_of(image)).unwrap_or_default();
+    beside.retain(|path| names::file_name(path).contains(&stem));
     beside
-        .into_iter()
-        .filter(|path| names::file_name(path).contains(&stem))
-        .collect()
 }

@@ -3,13 +3,14 @@
 
 use super::entry::ImageEntry;
 use super::files::{Folders, is_own_folder, neighbours};
-use super::manifest::{Counts, Manifest, reject_address};
+use super::manifest::{Counts, Manifest, ManifestImage, reject_address};
 use super::names::{IMAGE_EXTENSIONS, file_name, has_extension, stem};
 use super::satnerf::{self, JsonIndex};
 use super::stacks;
 use super::tiles::ImageFiles;
 use super::{BandKind, SceneError, Split, Truth, pair_names, relit_truth, truth};
 use heliosplat_raster::{is_virtual, list_virtual};
+use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -40,23 +41,17 @@ pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError>
     }
     reject_address(path)?;
     if path.is_file() {
-        return if has_extension(path, &["toml"]) {
-            from_manifest(path, folders)
-        } else {
-            Err(SceneError::Manifest(
-                path.to_owned(),
-                "a scene is a folder of images or a scene.toml; give the folder this file is in".to_owned(),
-            ))
+        let reason = "a scene is a folder of images or a scene.toml; give the folder this file is in".to_owned();
+        return match has_extension(path, &["toml"]) {
+            true => from_manifest(path, folders),
+            false => Err(SceneError::Manifest(path.to_owned(), reason)),
         };
     }
     if !path.is_dir() {
-        return Err(if path.exists() {
-            SceneError::Unreadable(
-                path.to_owned(),
-                "it is a device or a pipe; give a folder of images or a scene.toml".to_owned(),
-            )
-        } else {
-            SceneError::Missing(path.to_owned())
+        let reason = "it is a device or a pipe; give a folder of images or a scene.toml".to_owned();
+        return Err(match path.exists() {
+            true => SceneError::Unreadable(path.to_owned(), reason),
+            false => SceneError::Missing(path.to_owned()),
         });
     }
     let manifest = path.join("scene.toml");
@@ -70,12 +65,10 @@ pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError>
 /// Layout of a folder on one of GDAL's virtual file systems: its images, with the cameras and dates that GDAL finds
 /// there.
 fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
-    let files = list_virtual(folder)?;
-    let images: Vec<ImageEntry> = files
+    let files = list_virtual(folder)?
         .into_iter()
-        .filter(|path| has_extension(path, &IMAGE_EXTENSIONS))
-        .map(|path| ImageEntry::of(ImageFiles::one(path)))
-        .collect();
+        .filter(|path| has_extension(path, &IMAGE_EXTENSIONS));
+    let images: Vec<ImageEntry> = files.map(|path| ImageEntry::of(ImageFiles::one(path))).collect();
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
     }
@@ -87,16 +80,13 @@ fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
 
 fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     let manifest = Manifest::read(path)?;
-    let images = manifest
-        .images
-        .iter()
-        .map(|image| ImageEntry {
-            split: image.split.unwrap_or(Split::Train),
-            json: satnerf::json_of(&image.path, folders),
-            said: Some(image.clone()),
-            ..ImageEntry::of(ImageFiles::one(image.path.clone()))
-        })
-        .collect();
+    let entry = |image: &ManifestImage| ImageEntry {
+        split: image.split.unwrap_or(Split::Train),
+        json: satnerf::json_of(&image.path, folders),
+        said: Some(image.clone()),
+        ..ImageEntry::of(ImageFiles::one(image.path.clone()))
+    };
+    let images = manifest.images.iter().map(entry).collect();
     let home = path.parent().unwrap_or_else(|| Path::new("."));
     let mut warnings = Vec::new();
     let truth = match manifest.truth {
@@ -121,10 +111,7 @@ fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
 fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     let mut warnings = Vec::new();
     let (home, delivered) = scene_folder(folder, folders, &mut warnings)?;
-    let mut images = match delivered {
-        Some(images) => images,
-        None => folders.images(&home)?,
-    };
+    let mut images = delivered.map_or_else(|| folders.images(&home), Ok)?;
     let mut index = JsonIndex::read(&home, folders)?;
     for name in IMAGE_FOLDERS {
         if images.is_empty() {
@@ -189,23 +176,19 @@ fn cameras_beside(
 ) -> Result<JsonIndex, SceneError> {
     let mut found = Vec::new();
     let is_another_scene = |folder: &Path| images.iter().any(|image| folder.join(file_name(image)).is_file());
-    for folder in neighbours(home, folders)
+    // The sort is stable: nearer folders stay before farther ones.
+    let others = neighbours(home, folders)
         .into_iter()
-        .filter(|folder| !is_another_scene(folder))
-    {
+        .filter(|folder| !is_another_scene(folder));
+    for folder in others {
         let index = JsonIndex::read(&folder, folders)?.restricted_to(images);
         if !index.is_empty() {
             found.push((folder, index));
         }
     }
-    // The sort is stable: nearer folders stay before farther ones.
     found.sort_by_key(|(folder, index)| {
-        let kind = camera_kind(folder);
-        (
-            std::cmp::Reverse(index.count_of(images)),
-            kind.0,
-            std::cmp::Reverse(kind.1),
-        )
+        let (kind, name) = camera_kind(folder);
+        (Reverse(index.count_of(images)), kind, Reverse(name))
     });
     let mut found = found.into_iter();
     let Some((folder, index)) = found.next() else {
@@ -221,12 +204,8 @@ fn cameras_beside(
 /// Quality of a folder's cameras by its path (0 bundle-adjusted, 1 unknown, 2 raw), and the name that shows it; the
 /// last version in alphabetical order is preferred. `crops_rpcs_ba_v2/JAX_068` is `(0, "crops_rpcs_ba_v2")`.
 fn camera_kind(folder: &Path) -> (u8, String) {
-    for name in folder
-        .iter()
-        .rev()
-        .take(3)
-        .map(|part| part.to_string_lossy().to_lowercase())
-    {
+    for part in folder.iter().rev().take(3) {
+        let name = part.to_string_lossy().to_lowercase();
         let says = |word: &str| name.split(['_', '-', '.', ' ']).any(|part| part == word);
         if says("ba") || says("adjusted") {
             return (0, name);
@@ -281,8 +260,8 @@ impl CameraFolder {
 /// Best of several folders with cameras of the same images, with a warning that names the other folders.
 fn best_cameras(top: &Path, mut candidates: Vec<CameraFolder>) -> Vec<(PathBuf, Option<String>)> {
     candidates.sort_by_key(|folder| {
-        let kind = camera_kind(&folder.path);
-        (kind.0, std::cmp::Reverse(kind.1))
+        let (kind, name) = camera_kind(&folder.path);
+        (kind, Reverse(name))
     });
     let mut scenes: Vec<(CameraFolder, Option<String>)> = Vec::new();
     for folder in candidates {
@@ -293,10 +272,8 @@ fn best_cameras(top: &Path, mut candidates: Vec<CameraFolder>) -> Vec<(PathBuf, 
             None => scenes.push((folder, None)),
         }
     }
-    let mut scenes: Vec<_> = scenes
-        .into_iter()
-        .map(|(folder, warning)| (folder.path, warning))
-        .collect();
+    let scenes = scenes.into_iter();
+    let mut scenes: Vec<_> = scenes.map(|(folder, warning)| (folder.path, warning)).collect();
     scenes.sort();
     scenes
 }
@@ -367,11 +344,8 @@ fn delivered(candidates: &[(PathBuf, Option<String>)], folders: &Folders) -> Res
 /// The folders of several scenes in one line, shortened where there are many.
 fn listed(candidates: &[(PathBuf, Option<String>)]) -> String {
     const MOST: usize = 20;
-    let mut names: Vec<String> = candidates
-        .iter()
-        .take(MOST)
-        .map(|(path, _)| path.display().to_string())
-        .collect();
+    let names = candidates.iter().take(MOST).map(|(path, _)| path.display().to_string());
+    let mut names: Vec<String> = names.collect();
     if candidates.len() > MOST {
         names.push(format!("and {} more", candidates.len() - MOST));
     }
@@ -397,13 +371,9 @@ impl SplitLists {
             Ok(Some(names.map(|name| stem(Path::new(name))).collect()))
         };
         let (train, test) = (read("train.txt")?, read("test.txt")?);
-        if train.is_none() && test.is_none() {
-            return Ok(None);
-        }
-        Ok(Some(Self {
-            train: train.unwrap_or_default(),
-            test: test.unwrap_or_default(),
-        }))
+        let is_given = train.is_some() || test.is_some();
+        let (train, test) = (train.unwrap_or_default(), test.unwrap_or_default());
+        Ok(is_given.then_some(Self { train, test }))
     }
 
     /// The split of an image; `None` for an image in neither list. Without training names, all images outside of
@@ -411,12 +381,10 @@ impl SplitLists {
     fn split_of(&self, image: &Path, json: Option<&Path>) -> Option<Split> {
         let names = [Some(stem(image)), json.map(stem)];
         let listed = |list: &[String]| names.iter().flatten().any(|name| list.contains(name));
-        if listed(&self.train) || (self.train.is_empty() && !listed(&self.test)) {
-            Some(Split::Train)
-        } else if listed(&self.test) {
-            Some(Split::Test)
-        } else {
-            None
+        match (listed(&self.train), listed(&self.test)) {
+            (true, _) => Some(Split::Train),
+            (false, true) => Some(Split::Test),
+            (false, false) => self.train.is_empty().then_some(Split::Train),
         }
     }
 }

@@ -39,7 +39,7 @@ pub use checks::{Finding, Severity};
 pub use error::SceneError;
 pub use identity::{FileIdentity, Hashes, Seen, seen};
 pub use index::{Index, IndexImage};
-pub use manifest::Counts;
+pub use manifest::{Counts, toml_fault};
 pub use relit_truth::{RelitTruth, relit_truth};
 pub use sun::{ImageSun, SunSource};
 pub use tiles::places_in_til;

@@ -85,7 +85,7 @@ pub(super) struct ManifestTruth {
 impl Manifest {
     /// Parses the text, without resolving its paths.
     pub(super) fn parse(text: &str) -> Result<Self, String> {
-        let manifest: Self = toml::from_str(text).map_err(|error| one_line(&error, text))?;
+        let manifest: Self = toml::from_str(text).map_err(|error| toml_fault(&error, text))?;
         if manifest.images.is_empty() {
             return Err("it lists no images; add [[images]] tables with a path each".to_owned());
         }
@@ -137,13 +137,13 @@ pub(super) fn reject_address(path: &Path) -> Result<(), SceneError> {
     Ok(())
 }
 
-fn one_line(error: &toml::de::Error, text: &str) -> String {
-    let line = error.span().map(|span| text[..span.start].matches('\n').count() + 1);
-    let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
-    match line {
-        Some(line) => format!("line {line}: {message}"),
-        None => message,
-    }
+/// Fault of a TOML text in one line, with its place.
+pub fn toml_fault(error: &toml::de::Error, text: &str) -> String {
+    let line = error
+        .span()
+        .map_or(1, |span| text[..span.start].matches('\n').count() + 1);
+    let words: Vec<&str> = error.message().split_whitespace().collect();
+    format!("line {line}: {}", words.join(" "))
 }
 
 #[cfg(test)]

@@ -27,10 +27,8 @@ pub(super) fn mask_of(path: &Path) -> Option<String> {
 
 /// The folder of an image; `.` for a bare file name.
 pub(super) fn folder_of(image: &Path) -> &Path {
-    image
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or_else(|| Path::new("."))
+    let folder = image.parent().filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or_else(|| Path::new("."))
 }
 
 /// File name without its extension.

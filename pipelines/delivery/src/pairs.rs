@@ -34,11 +34,7 @@ pub(super) fn with_colours(
 ) -> Result<Draft, SceneError> {
     let pan = &draft.file;
     let pan_path = pan.path().to_owned();
-    let not_a_pair = |reason: String| SceneError::NotAPair {
-        pan: pan_path.clone(),
-        multispectral: multispectral.path.clone(),
-        reason,
-    };
+    let not_a_pair = |reason| SceneError::NotAPair(pan_path.clone(), multispectral.path.clone(), reason);
     let colours = multispectral.open(folders)?;
     if pan.bands.len() != 1 || colours.bands.len() < 3 {
         let (one, other) = (pan.bands.len(), colours.bands.len());
@@ -136,15 +132,17 @@ fn relation(
         let at = |own: f64| (relation.scale[axis] * own + relation.offset[axis]).clamp(-0.5, other as f64 - 0.5);
         (at(own as f64 - 0.5) - at(-0.5)) / (relation.scale[axis] * own as f64)
     };
+    // NaN counts as disagreement.
+    let residual_px = if residual_px.is_nan() {
+        f64::INFINITY
+    } else {
+        residual_px
+    };
+    let shown = shown(0, width, size.0) * shown(1, height, size.1);
     Ok(Found {
         relation,
-        // NaN counts as disagreement.
-        residual_px: if residual_px.is_nan() {
-            f64::INFINITY
-        } else {
-            residual_px
-        },
-        shown: shown(0, width, size.0) * shown(1, height, size.1),
+        residual_px,
+        shown,
     })
 }
 
@@ -169,8 +167,8 @@ pub(super) fn by_time(
         let others = drafts.iter().enumerate().filter(|(_, draft)| has_colours(draft));
         // Without matching names, the cameras must confirm the pair.
         let others = others.filter(|(_, other)| {
-            relation(&pan.rpc, pan.file.size(), &other.rpc, other.file.size())
-                .is_ok_and(|found| found.fault().is_none())
+            let found = relation(&pan.rpc, pan.file.size(), &other.rpc, other.file.size());
+            found.is_ok_and(|found| found.fault().is_none())
         });
         let at_once = others.filter(|(_, other)| apart_ms(pan, other).is_some_and(|apart| apart <= SAME_TIME_MS));
         near.extend(at_once.map(|(place, _)| [index, place]));

@@ -42,10 +42,8 @@ pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>, SceneError> {
     let fault = |reason: String| SceneError::Manifest(list.clone(), reason);
     let entries: Vec<Entry> = serde_json::from_str(&text).map_err(|error| fault(error.to_string()))?;
     if !(1..=MOST_SUNS).contains(&entries.len()) {
-        return Err(fault(format!(
-            "lists {} suns; 1 to {MOST_SUNS} are read",
-            entries.len()
-        )));
+        let count = entries.len();
+        return Err(fault(format!("lists {count} suns; 1 to {MOST_SUNS} are read")));
     }
     let truth = |(number, entry): (usize, Entry)| {
         let here = |name: String| match folder.join(&name) {

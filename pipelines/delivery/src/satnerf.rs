@@ -96,10 +96,8 @@ impl JsonIndex {
 
     /// Number of `images` that a JSON of this index describes.
     pub(super) fn count_of(&self, images: &[PathBuf]) -> usize {
-        images
-            .iter()
-            .filter(|image| self.by_image.contains_key(&stem(image)))
-            .count()
+        let is_known = |image: &&PathBuf| self.by_image.contains_key(&stem(image));
+        images.iter().filter(is_known).count()
     }
 
     /// True if both indices describe an image of the same name.
@@ -128,12 +126,9 @@ impl JsonIndex {
         }
         let mut found = Vec::new();
         for (json, image) in self.by_image.values() {
-            match available.get(&file_name(Path::new(image))) {
-                Some(paths) => found.push(of_stated_size(paths, json, folders).clone()),
-                None => {
-                    return Err(SceneError::MissingImage(image.clone(), json.clone()));
-                }
-            }
+            let paths = available.get(&file_name(Path::new(image)));
+            let paths = paths.ok_or_else(|| SceneError::MissingImage(image.clone(), json.clone()))?;
+            found.push(of_stated_size(paths, json, folders).clone());
         }
         Ok(found)
     }
@@ -146,13 +141,12 @@ fn of_stated_size<'a>(paths: &'a [PathBuf], json: &Path, folders: &Folders) -> &
         let description = describe(json, folders)?;
         Some((description.width? as usize, description.height? as usize))
     };
-    if paths.len() > 1
-        && let Some(stated) = stated()
-        && let Some(fitting) = paths
-            .iter()
-            .find(|path| RasterFile::open(path).is_ok_and(|file| file.size() == stated))
-    {
-        return fitting;
-    }
-    &paths[0]
+    let fitting = match paths {
+        [_] => None,
+        _ => stated().and_then(|stated| {
+            let fits = |path: &&PathBuf| RasterFile::open(path).is_ok_and(|file| file.size() == stated);
+            paths.iter().find(fits)
+        }),
+    };
+    fitting.unwrap_or(&paths[0])
 }

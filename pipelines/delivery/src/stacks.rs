@@ -73,10 +73,10 @@ fn joined(images: Vec<ImageFiles>) -> Vec<ImageFiles> {
                     bands: PARTS[*which].1,
                     ..images[*file].clone()
                 });
-                out.extend(named.next().map(|first| ImageFiles {
-                    more: named.collect(),
-                    ..first
-                }));
+                if let Some(first) = named.next() {
+                    let more = named.collect();
+                    out.push(ImageFiles { more, ..first });
+                }
             }
             Some(_) => {}
         }

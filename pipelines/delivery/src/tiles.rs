@@ -26,9 +26,14 @@ pub(super) struct ImageFiles {
 impl ImageFiles {
     /// An image in one file.
     pub(super) fn one(path: PathBuf) -> Self {
+        Self::of_tiles(path, BTreeMap::new())
+    }
+
+    /// An image of tiles, of which the first lies at `path`.
+    fn of_tiles(path: PathBuf, tiles: BTreeMap<[u32; 2], PathBuf>) -> Self {
         Self {
             path,
-            tiles: BTreeMap::new(),
+            tiles,
             step_px: None,
             more: Vec::new(),
             bands: &[],
@@ -180,17 +185,13 @@ pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<Image
         };
         taken.extend(listed.tiles.values().cloned());
         images.push(ImageFiles {
-            path: first.clone(),
-            tiles: listed.tiles,
             step_px: listed.step_px,
-            more: Vec::new(),
-            bands: &[],
+            ..ImageFiles::of_tiles(first.clone(), listed.tiles)
         });
     }
     let places: BTreeMap<PathBuf, usize> = files.iter().cloned().zip(0..).collect();
-    images.extend(by_names(
-        files.into_iter().filter(|path| !taken.contains(path)).collect(),
-    ));
+    let others = files.into_iter().filter(|path| !taken.contains(path));
+    images.extend(by_names(others.collect()));
     images.sort_by_key(|image| places.get(&image.path).copied());
     Ok(images)
 }
@@ -205,21 +206,17 @@ fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
         }
     }
     products.retain(|_, tiles| tiles.len() > 1);
-    let product_of: BTreeMap<&PathBuf, &BTreeMap<[u32; 2], PathBuf>> = products
+    let product_of = products
         .values()
-        .flat_map(|tiles| tiles.values().map(move |tile| (tile, tiles)))
-        .collect();
+        .flat_map(|tiles| tiles.values().map(move |tile| (tile, tiles)));
+    let product_of: BTreeMap<&PathBuf, _> = product_of.collect();
     let mut images = Vec::with_capacity(files.len());
     for path in files {
         match product_of.get(&path) {
             None => images.push(ImageFiles::one(path)),
-            Some(tiles) if tiles.values().next() == Some(&path) => images.push(ImageFiles {
-                tiles: (*tiles).clone(),
-                path,
-                step_px: None,
-                more: Vec::new(),
-                bands: &[],
-            }),
+            Some(tiles) if tiles.values().next() == Some(&path) => {
+                images.push(ImageFiles::of_tiles(path, (*tiles).clone()));
+            }
             Some(_) => {}
         }
     }

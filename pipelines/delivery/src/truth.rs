@@ -75,9 +75,8 @@ fn find(home: &Path, scene: &str, folders: &Folders, warnings: &mut Vec<String>)
 
 fn in_folder(folder: &Path, scene: &str, own_folder: bool, folders: &Folders, warnings: &mut Vec<String>) -> Truth {
     let files = folders.files(folder).unwrap_or_default().into_iter();
-    let mut rasters: Vec<PathBuf> = files
-        .filter(|path| has_extension(path, &["tif", "tiff"]) && is_truth(path))
-        .collect();
+    let is_raster = |path: &PathBuf| has_extension(path, &["tif", "tiff"]) && is_truth(path);
+    let mut rasters: Vec<PathBuf> = files.filter(is_raster).collect();
     // This program writes no folder with the truth of several scenes.
     if own_folder {
         rasters.retain(|path| {

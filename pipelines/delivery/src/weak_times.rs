@@ -33,10 +33,8 @@ pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String
             continue;
         };
         if elevation_deg(time, at) < LOWEST_SUN_DEG {
-            warnings.push(format!(
-                "{}: its name says {time}, when the sun was down; not used",
-                draft.file.path().display()
-            ));
+            let path = draft.file.path().display();
+            warnings.push(format!("{path}: its name says {time}, when the sun was down; not used"));
             continue;
         }
         draft.acquisition.time = Some(time);
@@ -47,25 +45,20 @@ pub(super) fn fill(drafts: &mut [Draft], at: GeoPoint, warnings: &mut Vec<String
             "acquisition times of {named} images are read from their file names; say otherwise with time = \"...\" in a scene.toml"
         ));
     }
-    let tagged: Vec<(usize, Timestamp)> = drafts
-        .iter_mut()
-        .enumerate()
-        .filter(|(_, draft)| unknown(draft))
-        .filter_map(|(place, draft)| {
-            let tag = draft.file.domain("").remove("TIFFTAG_DATETIME")?;
-            Some((place, acquisition::tiff_date(&tag)?))
-        })
-        .collect();
+    let tag_of = |(place, draft): (usize, &mut Draft)| {
+        let tag = draft.file.domain("").remove("TIFFTAG_DATETIME")?;
+        Some((place, acquisition::tiff_date(&tag)?))
+    };
+    let untimed = drafts.iter_mut().enumerate().filter(|(_, draft)| unknown(draft));
+    let tagged: Vec<(usize, Timestamp)> = untimed.filter_map(tag_of).collect();
     if tagged.is_empty() {
         return;
     }
-    let tags: Vec<Tag> = tagged
-        .iter()
-        .map(|&(place, time)| Tag {
-            time,
-            written: written(drafts[place].file.path()),
-        })
-        .collect();
+    let tag = |&(place, time): &(usize, Timestamp)| {
+        let written = written(drafts[place].file.path());
+        Tag { time, written }
+    };
+    let tags: Vec<Tag> = tagged.iter().map(tag).collect();
     match disbelief(&tags, at) {
         Some(reason) => {
             warnings.push(format!(
@@ -139,10 +132,8 @@ fn disbelief(tags: &[Tag], at: GeoPoint) -> Option<&'static str> {
     if tags.iter().all(|tag| day(tag) == day(&tags[0])) {
         return Some("all are of one day, as if the files had been made then");
     }
-    if tags
-        .iter()
-        .any(|tag| tag.written.is_some_and(|written| tag.time > written - FROM_FILE_TIME))
-    {
+    let is_young = |tag: &Tag| tag.written.is_some_and(|written| tag.time > written - FROM_FILE_TIME);
+    if tags.iter().any(is_young) {
         return Some("they are as young as the files");
     }
     let solar_hours = |time: Timestamp| {

@@ -7,10 +7,11 @@ use serde_json::{Value, json};
 use std::fmt::Write;
 
 /// Status of a unit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
     /// Not begun, or interrupted.
+    #[default]
     Pending,
     /// Running.
     Running,
@@ -54,7 +55,7 @@ impl State {
 }
 
 /// Row of a unit in the tables.
-#[derive(Debug, Clone, serde::Serialize)]
+#[derive(Debug, Clone, Default, serde::Serialize)]
 pub struct Row {
     /// Name of the unit.
     pub unit: String,

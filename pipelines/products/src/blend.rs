@@ -41,10 +41,9 @@ impl Piece {
         let inside = col >= columns[0] && col < columns[1] && row >= rows[0] && row < rows[1];
         let (c, r) = (col - self.at[0], row - self.at[1]);
         let there = c >= 0 && r >= 0 && c < raster.width as isize && r < raster.height as isize;
-        if inside && there {
-            raster.at(band, c as usize, r as usize)
-        } else {
-            f32::NAN
+        match inside && there {
+            true => raster.at(band, c as usize, r as usize),
+            false => f32::NAN,
         }
     }
 
@@ -69,27 +68,20 @@ impl Piece {
 /// Blended surface model of all pieces on the mosaic's grid of `(width, height)` cells of `gsd_m` metres; NaN in cells
 /// that no piece covers.
 pub fn blend(pieces: &[Piece], (width, height): (usize, usize), gsd_m: f32) -> Raster {
-    let rows: Vec<Vec<[f32; BANDS]>> = (0..height as isize)
-        .into_par_iter()
-        .map(|row| {
-            let here = in_row(pieces, row);
-            let mut said = Vec::with_capacity(4);
-            (0..width as isize)
-                .map(|col| {
-                    one_surface(&mut said, (pieces, &here), (col, row), gsd_m);
-                    together(&said)
-                })
-                .collect()
-        })
-        .collect();
+    let of_row = |row: isize| {
+        let here = in_row(pieces, row);
+        let mut said = Vec::with_capacity(4);
+        let cell = move |col: isize| {
+            one_surface(&mut said, (pieces, &here), (col, row), gsd_m);
+            together(&said)
+        };
+        (0..width as isize).map(cell)
+    };
+    let cells: Vec<[f32; BANDS]> = (0..height as isize).into_par_iter().flat_map_iter(of_row).collect();
     let mut raster = Raster::filled(width, height, BANDS, f32::NAN);
-    let plane = width * height;
-    for (row, values) in rows.iter().enumerate() {
-        for (col, value) in values.iter().enumerate() {
-            for band in 0..BANDS {
-                raster.values[band * plane + row * width + col] = value[band];
-            }
-        }
+    for band in 0..BANDS {
+        let values = raster.plane_mut(band).iter_mut().zip(&cells);
+        values.for_each(|(value, cell)| *value = cell[band]);
     }
     raster
 }
@@ -141,14 +133,16 @@ pub fn one_surface(
     said.clear();
     said.extend(here.iter().filter_map(|&i| cell_value(i, &pieces[i], col, row, gsd_m)));
     // Of equal weights the first one wins.
-    let strongest = (0..said.len()).reduce(|best, next| {
+    let stronger = |best: usize, next: usize| {
         if said[next].weight > said[best].weight {
             next
         } else {
             best
         }
-    });
-    let Some(strongest) = strongest else { return };
+    };
+    let Some(strongest) = (0..said.len()).reduce(stronger) else {
+        return;
+    };
     let altitude = said[strongest].values[0];
     said.swap(0, strongest);
     said.retain(|one| (one.values[0] - altitude).abs() <= ONE_SURFACE_CELLS * gsd_m);
@@ -163,9 +157,8 @@ fn together(said: &[CellValue]) -> [f32; BANDS] {
     let mean = |value: &dyn Fn(&[f32; BANDS]) -> f32| {
         let known = said.iter().map(|one| (one.weight, value(&one.values)));
         let known = known.filter(|(_, value)| value.is_finite());
-        let (weight, sum) = known.fold((0.0, 0.0), |(all, sum), (weight, value)| {
-            (all + weight, sum + weight * value)
-        });
+        let add = |(all, sum), (weight, value): (f32, f32)| (all + weight, sum + weight * value);
+        let (weight, sum) = known.fold((0.0, 0.0), add);
         sum / weight
     };
     // Relative to the tile with the largest weight, so that no digits are lost at high altitudes.

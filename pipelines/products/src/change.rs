@@ -46,10 +46,9 @@ pub fn as_day(date: Date) -> i32 {
 /// A day (days since 1970) as a date YYYYMMDD; 0 outside the calendar.
 pub fn as_date(day: i32) -> u32 {
     let date = Timestamp::from_second(i64::from(day) * 86_400).map(|time| time.to_zoned(TimeZone::UTC).date());
-    let number = |date: Date| date.year().unsigned_abs().into();
     date.map_or(0, |date| {
-        let year: u32 = number(date);
-        year * 10_000 + date.month().unsigned_abs() as u32 * 100 + u32::from(date.day().unsigned_abs())
+        let year: u32 = date.year().unsigned_abs().into();
+        year * 10_000 + u32::from(date.month().unsigned_abs()) * 100 + u32::from(date.day().unsigned_abs())
     })
 }
 
@@ -72,24 +71,20 @@ impl ChangeMap {
         let first = days.first().map_or(0, |day| day - 1);
         let moments: Vec<i32> = std::iter::once(first).chain(days).collect();
         let before_last = &moments[..moments.len() - 1];
-        let surfaces: Vec<Vec<f32>> = (before_last.iter())
-            .map(|&day| seen_of(nadir, &whole.on(day)).raster.plane(0).to_vec())
-            .chain(std::iter::once(last.raster.plane(0).to_vec()))
-            .collect();
+        let heights = |dsm: &Dsm| dsm.raster.plane(0).to_vec();
+        let earlier = before_last.iter().map(|&day| heights(&seen_of(nadir, &whole.on(day))));
+        let surfaces: Vec<Vec<f32>> = earlier.chain([heights(last)]).collect();
         let (width, height) = (nadir.grid.width, nadir.grid.height);
         let height_m = whole.file.origin.height_m;
         let of_row = |row: usize| {
             let place = |col: usize| nadir.enu.enu(col as f64, row as f64, height_m);
             let places: Vec<[f64; 3]> = (0..width).map(place).collect();
             let near = segments_along(&changes.segments, &places);
-            let mut heights = Vec::new();
-            (0..width)
-                .map(|col| {
-                    heights.clear();
-                    heights.extend(surfaces.iter().map(|surface| surface[row * width + col]));
-                    cell_change(&moments, &heights, &|day| confidence(&near, day, &places[col]))
-                })
-                .collect::<Vec<[f32; 3]>>()
+            let of_cell = |col: usize| {
+                let heights: Vec<f32> = surfaces.iter().map(|surface| surface[row * width + col]).collect();
+                cell_change(&moments, &heights, &|day| confidence(&near, day, &places[col]))
+            };
+            (0..width).map(of_cell).collect::<Vec<[f32; 3]>>()
         };
         let told: Vec<[f32; 3]> = (0..height).into_par_iter().flat_map_iter(of_row).collect();
         let mut raster = Raster::filled(width, height, BANDS.len(), 0.0);
@@ -118,9 +113,8 @@ impl ChangeMap {
         for (value, difference) in dates.values.iter_mut().zip(&difference.values) {
             let off = |day: &&i32| f64::from(as_date(**day)).sub(f64::from(*value)).abs();
             let nearest = days.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
-            *value = nearest
-                .filter(|_| *value > 0.0 && difference.abs() > 0.0)
-                .map_or(0.0, |day| *day as f32);
+            let is_changed = *value > 0.0 && difference.abs() > 0.0;
+            *value = nearest.filter(|_| is_changed).map_or(0.0, |day| *day as f32);
         }
         let mut raster = difference;
         raster.values.extend(dates.values);
@@ -141,12 +135,10 @@ impl ChangeMap {
     pub fn style(&self, band: usize) -> Style {
         let values = self.raster.plane(band);
         match band {
-            0 => Style::Differences(
-                values
-                    .iter()
-                    .filter(|v| v.is_finite())
-                    .fold(1.0, |most, v| v.abs().max(most)),
-            ),
+            0 => {
+                let known = values.iter().filter(|v| v.is_finite());
+                Style::Differences(known.fold(1.0, |most, v| v.abs().max(most)))
+            }
             1 => {
                 let days = values
                     .iter()

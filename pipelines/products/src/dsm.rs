@@ -6,7 +6,7 @@ use super::surface::{self, ALPHA_KNOWN, SurfaceGaussians};
 use super::{fill, seen};
 use crate::model::LoadedModel;
 use crate::nadir::{GroundExtent, NadirGrid};
-use heliosplat::render::{Rendering, render};
+use heliosplat::render::render;
 use heliosplat::splat::Maps;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_grid::statistics::quantile;
@@ -81,9 +81,10 @@ impl SurfaceFacts {
     /// Report of three lines on the surface model in `file`.
     pub fn in_words(&self, file: &Path) -> String {
         let [low, high] = self.heights_m;
-        let deviation = self.deviation_m.map_or_else(String::new, |metres| {
-            format!(", median standard deviation {metres:.2} m")
-        });
+        let deviation = self
+            .deviation_m
+            .map(|metres| format!(", median standard deviation {metres:.2} m"));
+        let deviation = deviation.unwrap_or_default();
         format!(
             "surface model  {}\n               {}, cells of {} m, {:.1} % of the ground known\n               heights {low:.0} to {high:.0} m above the {}{deviation}",
             file.display(),
@@ -128,15 +129,8 @@ pub(crate) fn seen_of(nadir: &NadirGrid, model: &LoadedModel) -> Dsm {
 
 /// Maps of `model` seen from straight above, rendered without light: one pixel for each cell of `nadir`.
 pub fn maps(model: &LoadedModel, nadir: &NadirGrid) -> Maps {
-    let Rendering { maps, .. } = render(
-        &model.model,
-        &model.parameters,
-        &nadir.camera,
-        None,
-        None,
-        model.pass_options(),
-    );
-    maps
+    let (shown, options) = (&model.parameters, model.pass_options());
+    render(&model.model, shown, &nadir.camera, None, None, options).maps
 }
 
 /// Surface model of Gaussians on the grid of `nadir`, known where they cover a cell. Its visibility in images is not
@@ -162,24 +156,20 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
         }
     }
     widen_deviations(&mut raster, surface.gsd_m);
-    Dsm {
-        raster,
-        grid: nadir.grid.clone(),
-        geoid: None,
-    }
+    Dsm::above_ellipsoid(raster, nadir.grid.clone())
 }
 
 /// Altitudes of Gaussians seen from straight above, metres above the frame's origin; NaN where they do not cover a
 /// pixel. `nadir` is a camera that looks straight down at pixels of `cell_m` metres.
 pub fn altitudes(nadir: &ProjectiveCamera, gaussians: &SurfaceGaussians, cell_m: f32) -> Vec<f32> {
-    let known = |cell: &surface::Cell| {
+    let up_m = |cell: &surface::Cell| {
         if cell.coverage >= ALPHA_KNOWN {
             cell.up_m
         } else {
             f32::NAN
         }
     };
-    surface::cells(gaussians, nadir, cell_m).iter().map(known).collect()
+    surface::cells(gaussians, nadir, cell_m).iter().map(up_m).collect()
 }
 
 /// Cells to each side over which the variances of the rays are averaged, and over which altitudes are compared: the
@@ -215,9 +205,8 @@ fn add_error_of_base(deviation_m: &mut [f32], base_to_height: &[f32], gsd_m: f32
 /// Mean of the squared deviations of the cells around `cell`, metres².
 fn own_variance(raster: &Raster, cell: usize) -> f32 {
     let deviations = raster.plane(DEVIATION);
-    let known = around((raster.width, raster.height), cell, OWN_REACH)
-        .map(|cell| deviations[cell])
-        .filter(|d| d.is_finite());
+    let known = around((raster.width, raster.height), cell, OWN_REACH).map(|cell| deviations[cell]);
+    let known = known.filter(|d| d.is_finite());
     let (sum, count) = known.fold((0.0f32, 0.0f32), |(sum, count), d| (sum + d * d, count + 1.0));
     sum / count.max(1.0)
 }
@@ -279,14 +268,16 @@ pub fn of_surface_on(nadir: NadirGrid, place: &GroundExtent, surface: &Surface) 
     }
     widen_deviations(&mut raster, surface.cell_m);
     add_error_of_base(raster.plane_mut(DEVIATION), &base_to_height, surface.cell_m);
-    Dsm {
-        raster,
-        grid: nadir.grid,
-        geoid: None,
-    }
+    Dsm::above_ellipsoid(raster, nadir.grid)
 }
 
 impl Dsm {
+    /// A surface model whose altitudes are above the ellipsoid.
+    pub fn above_ellipsoid(raster: Raster, grid: GridSpec) -> Self {
+        let geoid = None;
+        Self { raster, grid, geoid }
+    }
+
     /// Surface model with altitudes above `geoid` instead of the ellipsoid, in the compound coordinate system of these
     /// heights.
     ///
@@ -328,13 +319,7 @@ impl Dsm {
 
     /// Sets the cells of a raster on the same grid to NaN where the altitude is unknown.
     pub fn blank_unknown(&self, raster: &mut Raster) {
-        let altitude = self.raster.plane(ALTITUDE);
-        for band in 0..raster.bands {
-            let cells = raster.plane_mut(band).iter_mut().zip(altitude);
-            cells
-                .filter(|(_, z)| z.is_nan())
-                .for_each(|(value, _)| *value = f32::NAN);
-        }
+        blank_unknown(raster, self.raster.plane(ALTITUDE));
     }
 
     /// True if the file at `path` holds equal altitudes on an equal grid above the same datum.
@@ -425,6 +410,18 @@ impl Dsm {
     }
 }
 
+/// Makes the bands of a raster unknown where `known` is not a number.
+pub(crate) fn blank_unknown(raster: &mut Raster, known: &[f32]) {
+    for band in 0..raster.bands {
+        let unknown = raster
+            .plane_mut(band)
+            .iter_mut()
+            .zip(known)
+            .filter(|(_, known)| known.is_nan());
+        unknown.for_each(|(value, _)| *value = f32::NAN);
+    }
+}
+
 fn metadata(vertical_datum: &str) -> Vec<(String, String)> {
     let items = [
         ("VERTICAL_DATUM", vertical_datum),
@@ -445,10 +442,8 @@ pub fn file_of(path: &Path, band: usize) -> PathBuf {
 /// Names of the files of a surface model and of their styles; `name` is the file of the altitude.
 pub fn files(name: &str) -> Vec<String> {
     let both = |band| ["tif", "qml"].map(|extension| file_of(Path::new(name), band).with_extension(extension));
-    (0..BANDS.len())
-        .flat_map(both)
-        .map(|path| path.to_string_lossy().into_owned())
-        .collect()
+    let paths = (0..BANDS.len()).flat_map(both);
+    paths.map(|path| path.to_string_lossy().into_owned()).collect()
 }
 
 /// QGIS style of a band with these values.

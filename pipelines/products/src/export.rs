@@ -23,7 +23,7 @@ use crate::nadir::NadirGrid;
 use crate::ortho;
 use crate::relight::RelightError;
 use heliosplat_exchange::glb::TooLarge;
-use heliosplat_exchange::tiles::{self, Contents, Placement, Tile};
+use heliosplat_exchange::tiles::{self, Contents, Placement, Tile, WriteFile};
 use heliosplat_exchange::{splat_ply, splats};
 use heliosplat_fitting::run_folder::RunError;
 use heliosplat_raster::crs::utm_epsg;
@@ -123,21 +123,25 @@ impl ExportError {
 /// Transform from metres of a local frame to Earth-centred, Earth-fixed metres (WGS 84): a 4 x 4 matrix, column after
 /// column.
 pub fn ecef_from_enu(frame: &LocalFrame) -> [f64; 16] {
-    let axes = frame.enu_from_ecef_rotation();
-    let origin = ecef_from_geo(frame.origin);
-    let mut matrix = [0.0; 16];
-    for k in 0..3 {
-        for axis in 0..3 {
-            matrix[4 * axis + k] = axes[(axis, k)];
-        }
-        matrix[12 + k] = origin[k];
-    }
-    matrix[15] = 1.0;
+    let mut matrix = Matrix4::identity();
     matrix
+        .fixed_view_mut::<3, 3>(0, 0)
+        .copy_from(&frame.enu_from_ecef_rotation().transpose());
+    matrix
+        .fixed_view_mut::<3, 1>(0, 3)
+        .copy_from(&ecef_from_geo(frame.origin));
+    columns(&matrix)
 }
 
 /// Half of the distance over which the projection of a frame is differentiated, metres.
 const STEP_M: f64 = 100.0;
+
+/// Numbers of a matrix, column after column.
+fn columns(matrix: &Matrix4<f64>) -> [f64; 16] {
+    let mut numbers = [0.0; 16];
+    numbers.copy_from_slice(matrix.as_slice());
+    numbers
+}
 
 /// Place of a local frame on Earth, and in its zone of UTM.
 ///
@@ -161,13 +165,8 @@ fn placement(frame: &LocalFrame) -> Result<Placement, RasterError> {
         let slope = (mapped(step)? - mapped(-step)?) / (2.0 * STEP_M);
         projected.fixed_view_mut::<3, 1>(0, axis).copy_from(&slope);
     }
-    let mut matrix = [0.0; 16];
-    matrix.copy_from_slice(projected.as_slice());
-    Ok(Placement {
-        ecef: ecef_from_enu(frame),
-        epsg,
-        projected: matrix,
-    })
+    let (ecef, projected) = (ecef_from_enu(frame), columns(&projected));
+    Ok(Placement { ecef, epsg, projected })
 }
 
 /// Anchor of a local frame as JSON: axes, datum, origin (degrees, metres), and transform to Earth-centred, Earth-fixed
@@ -246,13 +245,10 @@ pub fn write(subject: &Subject, request: &Request) -> Result<Export, ExportError
             written.push(write_one(path, "splats", &bytes, Some(lit.splats.len()), None)?);
         }
         if let Some(folder) = tiles_of_splats {
-            let count = lit.splats.len();
-            let splats = lit.splats.clone();
-            let mut tiled = write_tiles(folder, subject.frame(), Contents::Splats, &of_splats, |write| {
-                Ok(Some(tiles::of_splats(splats, write)?))
-            })?;
-            tiled.splats = Some(count);
-            written.push(tiled);
+            let grow = |write: &mut WriteFile<_>| Ok(Some(tiles::of_splats(lit.splats.clone(), write)?));
+            let tiled = write_tiles(folder, subject.frame(), Contents::Splats, &of_splats, grow)?;
+            let splats = Some(lit.splats.len());
+            written.push(Written { splats, ..tiled });
         }
         said = of_splats;
     }
@@ -267,11 +263,10 @@ pub fn write(subject: &Subject, request: &Request) -> Result<Export, ExportError
         }
         if let Some(folder) = tiles_of_mesh {
             let mut triangles = 0;
-            let mut tiled = write_tiles(folder, subject.frame(), Contents::Meshes, &of_mesh, |write| {
-                ground.tiles(write, &mut triangles)
-            })?;
-            tiled.triangles = Some(triangles);
-            written.push(tiled);
+            let grow = |write: &mut WriteFile<_>| ground.tiles(write, &mut triangles);
+            let tiled = write_tiles(folder, subject.frame(), Contents::Meshes, &of_mesh, grow)?;
+            let triangles = Some(triangles);
+            written.push(Written { triangles, ..tiled });
         }
         said = of_mesh;
     }
@@ -319,12 +314,8 @@ fn write_ply(path: &Path, lit: &Lit, said: &Value) -> Result<Written, ExportErro
     let mut sidecar = path.as_os_str().to_owned();
     sidecar.push(".json");
     let text = format!("{said:#}\n");
-    let comments: Vec<String> = said
-        .as_object()
-        .into_iter()
-        .flatten()
-        .map(|(key, value)| format!("{key} {value}"))
-        .collect();
+    let members = said.as_object().into_iter().flatten();
+    let comments: Vec<String> = members.map(|(key, value)| format!("{key} {value}")).collect();
     write_atomically(Path::new(&sidecar), text.as_bytes())?;
     let bytes = splat_ply::encode(&splats::table(&lit.splats), &comments);
     let one = write_one(path, "ply", &bytes, Some(lit.splats.len()), None)?;
@@ -341,7 +332,7 @@ fn write_tiles(
     frame: &LocalFrame,
     contents: Contents,
     said: &Value,
-    grow: impl FnOnce(&mut dyn FnMut(&str, Vec<u8>) -> Result<(), ExportError>) -> Result<Option<Tile>, ExportError>,
+    grow: impl FnOnce(&mut WriteFile<ExportError>) -> Result<Option<Tile>, ExportError>,
 ) -> Result<Written, ExportError> {
     folder::replace(folder, |new| {
         let (mut bytes, mut files) = (0, 0);

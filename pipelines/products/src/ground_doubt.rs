@@ -9,7 +9,6 @@ use crate::model::START;
 use crate::nadir::{GroundExtent, NadirGrid};
 use glam::Vec3;
 use heliosplat_radiometry::ground::{ground_below, ground_probability};
-use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::{GeoRaster, RasterError};
 use rayon::prelude::*;
 use std::path::Path;
@@ -39,19 +38,13 @@ impl StartProbability {
             true => Some(GeoRaster::read_surface(&path)?),
             false => None,
         };
-        let found = start.and_then(|start| Some((start.band(PROBABILITY)?, start.crs.clone()?, start)));
-        let Some((band, crs, start)) = found else {
+        let found = start.and_then(|start| Some((start.band(PROBABILITY)?, start.grid()?, start)));
+        let Some((band, grid, start)) = found else {
             tracing::warn!(
                 "{}: absent or without the band {PROBABILITY}, so standard deviations do not know how sure the sweep was",
                 path.display()
             );
             return Ok(None);
-        };
-        let grid = GridSpec {
-            width: start.raster.width,
-            height: start.raster.height,
-            transform: start.transform,
-            crs,
         };
         Ok(Some(Self {
             nadir: NadirGrid::on(place, grid)?,
@@ -88,6 +81,8 @@ impl StartProbability {
 
 #[cfg(test)]
 mod tests {
+    use heliosplat_raster::grid::GridSpec;
+
     use super::*;
     use heliosplat_raster::Crs;
     use heliosplat_raster::grid::GeoTransform;

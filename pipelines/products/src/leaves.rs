@@ -73,12 +73,9 @@ impl<'a> LeafIndex<'a> {
         let reach = (seen.gsd_m / seen.cell_m).round() as usize;
         // NaN, which exceeds no threshold, where nothing is known.
         let mean = |i: usize| {
-            let (mut sum, mut count) = (0.0, 0.0);
             let known = around((width, height), i, reach).map(|cell| seen.index[cell]);
-            for index in known.filter(|index| index.is_finite()) {
-                sum += index;
-                count += 1.0;
-            }
+            let known = known.filter(|index| index.is_finite());
+            let (sum, count) = known.fold((0.0, 0.0), |(sum, count), index| (sum + index, count + 1.0));
             sum / count
         };
         let each = in_parallel(width * height);

@@ -9,8 +9,8 @@ use heliosplat::render::PassOptions;
 use heliosplat::splat::ProjectionOptions;
 use heliosplat_fitting::run_folder::{MODEL, RunError, parsed, read_gaussians, save_model};
 use heliosplat_radiometry::daylight::Daylight;
+use heliosplat_raster::Window;
 use heliosplat_rpc::{GeoPoint, LocalFrame, ProjectiveMap, sun::SunPosition};
-use heliosplat_scene::crop::Crop;
 use heliosplat_scene::indices::{NormalisedDifference, VegetationIndex};
 use heliosplat_scene::{Area, BandKind, KnownTiles, Split, SunSource, Values};
 use heliosplat_stereo::change::Segment;
@@ -34,7 +34,7 @@ pub struct ModelImage {
     /// Pinhole camera of the whole image.
     pub map: ProjectiveMap,
     /// Rectangle of the image that shows the area, pixels.
-    pub crop: Crop,
+    pub crop: Window,
     /// Correction of the image's pointing, columns and rows, pixels.
     pub shift_px: [f32; 2],
     /// Tiles of the rectangle with data and without clouds; `None`: all of it.
@@ -126,6 +126,7 @@ impl ModelFile {
 pub const START: &str = "start.tif";
 
 /// A model read back from its run.
+#[derive(Clone)]
 pub struct LoadedModel {
     /// Folder of the run.
     pub folder: PathBuf,
@@ -161,28 +162,18 @@ pub fn load_file(folder: &Path) -> Result<ModelFile, RunError> {
 impl LoadedModel {
     /// Copy of the model as it stands on a day, days since 1970.
     pub fn on(&self, day: i32) -> Self {
-        self.copy().into_day(day as f32)
+        self.clone().into_day(day as f32)
     }
 
     /// Copy of the model as it stands on the day of its last image.
     pub fn on_last(&self) -> Self {
-        self.copy().last()
+        self.clone().last()
     }
 
     /// The model as it stands on the day of its last image.
     pub fn last(self) -> Self {
         let last = self.model.options.days.iter().copied().fold(f32::MIN, f32::max);
         self.into_day(last)
-    }
-
-    fn copy(&self) -> Self {
-        Self {
-            folder: self.folder.clone(),
-            file: self.file.clone(),
-            model: self.model.clone(),
-            parameters: self.parameters.clone(),
-            frame: self.frame,
-        }
     }
 
     /// Removes the Gaussians that do not stand on a day, and all days.

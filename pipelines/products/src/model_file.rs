@@ -28,11 +28,12 @@ impl ModelFile {
         if file.bands.len() != file.options.bands {
             return Err(format!("it names {} bands of {}", file.bands.len(), file.options.bands));
         }
-        let lines = file.values.reflectance.iter().flatten();
-        let finite = lines
-            .clone()
+        let gains = &file.values.reflectance;
+        let finite = gains
+            .iter()
+            .flatten()
             .all(|line| line.scale.is_finite() && line.offset.is_finite());
-        if !finite || ![0, file.bands.len()].contains(&file.values.reflectance.len()) {
+        if !finite || ![0, file.bands.len()].contains(&gains.len()) {
             return Err("its bands have no usable gains to reflectance".into());
         }
         let bands = file.options.bands;
@@ -84,10 +85,8 @@ fn check_options(options: &ShadowGsOptions) -> Result<(), String> {
         return Err(format!("{} bands are not possible", options.bands));
     }
     if options.reference >= options.images {
-        return Err(format!(
-            "its reference image {} is none of {}",
-            options.reference, options.images
-        ));
+        let (reference, images) = (options.reference, options.images);
+        return Err(format!("its reference image {reference} is none of {images}"));
     }
     Ok(())
 }
@@ -126,14 +125,14 @@ fn check_image(image: &ModelImage, options: &ShadowGsOptions) -> Result<(), Stri
     }
     let map = &image.map;
     let angles = image.sun.iter().flat_map(|sun| [&sun.azimuth_rad, &sun.elevation_rad]);
-    let numbers = map
+    let mut numbers = map
         .u
         .iter()
         .chain(&map.v)
         .chain(&map.w)
         .chain(angles)
         .chain(&image.sun_sigma_deg);
-    if !numbers.copied().all(f64::is_finite) || !image.shift_px.iter().all(|s| s.is_finite()) {
+    if !numbers.all(|number| number.is_finite()) || !image.shift_px.iter().all(|s| s.is_finite()) {
         return Err(format!("image {name} has numbers that are not finite"));
     }
     Ok(())

@@ -83,11 +83,10 @@ impl NadirGrid {
     /// When the grid lies outside its coordinate system.
     pub fn of_surface(grid: GridSpec, altitude_m: &[f32]) -> Result<(Self, LocalFrame), RasterError> {
         let known = || altitude_m.iter().copied().filter(|v| v.is_finite()).map(f64::from);
-        let (low, high) = (
-            known().fold(f64::INFINITY, f64::min),
-            known().fold(f64::NEG_INFINITY, f64::max),
-        );
-        let (low, high) = if low <= high { (low, high) } else { (0.0, 0.0) };
+        let (low, high) = known()
+            .reduce(f64::min)
+            .zip(known().reduce(f64::max))
+            .unwrap_or_default();
         let sides = [0.5 * grid.width as f64, 0.5 * grid.height as f64];
         let [x, y] = grid.transform.map_from_pixel(sides[0], sides[1]);
         let (lon_deg, lat_deg) = CrsTransform::to_lon_lat(&grid.crs)?.apply(x, y)?;
@@ -145,10 +144,8 @@ fn nadir_camera(enu: &EnuGrid, grid: &GridSpec, height_m: f64) -> ProjectiveCame
         }
     }
     // A grid of one row or column does not fix the map: then the pixel size does.
-    let solved = normal
-        .try_inverse()
-        .map(|inverse| inverse * right)
-        .filter(|m| m.iter().all(|v| v.is_finite()));
+    let solved = normal.try_inverse().map(|inverse| inverse * right);
+    let solved = solved.filter(|m| m.iter().all(|v| v.is_finite()));
     let map = solved.filter(|_| grid.width > 1 && grid.height > 1).unwrap_or_else(|| {
         let [e, n, _] = enu.enu(0.0, 0.0, height_m);
         let inverse = 1.0 / (grid.transform.pixel_size().0 * grid.crs.metres_per_unit());
@@ -182,9 +179,6 @@ impl CellVectors {
     pub(crate) fn toward(&self, [east, north]: [f64; 2]) -> [f64; 2] {
         let ([a, b], [c, d]) = (self.per_col, self.per_row);
         let determinant = a * d - b * c;
-        [
-            (east * d - north * c) / determinant,
-            (north * a - east * b) / determinant,
-        ]
+        [east * d - north * c, north * a - east * b].map(|value| value / determinant)
     }
 }

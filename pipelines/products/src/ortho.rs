@@ -12,12 +12,13 @@ pub fn albedo(model: &LoadedModel, maps: &Maps) -> Raster {
     let bands = model.file.bands.len();
     let mut out = Raster::filled(maps.width, maps.height, bands, f32::NAN);
     for band in 0..bands {
-        let plane = out.plane_mut(band);
-        for (i, value) in plane.iter_mut().enumerate() {
-            if maps.alpha[i] >= ALPHA_KNOWN {
-                *value = maps.channels[band][i] / maps.alpha[i];
-            }
-        }
+        let cells = out
+            .plane_mut(band)
+            .iter_mut()
+            .zip(&maps.channels[band])
+            .zip(&maps.alpha);
+        let known = cells.filter(|(_, alpha)| **alpha >= ALPHA_KNOWN);
+        known.for_each(|((value, channel), alpha)| *value = channel / alpha);
     }
     out
 }
@@ -25,19 +26,14 @@ pub fn albedo(model: &LoadedModel, maps: &Maps) -> Raster {
 /// Vegetation mask of an albedo: 1 for vegetation, else 0, `NaN` where the albedo is unknown.
 pub fn vegetation(albedo: &Raster, index: NormalisedDifference) -> Raster {
     let plane = albedo.plane_len();
-    let values = (0..plane).map(|pixel| {
-        let index = index.of(|band| albedo.values[band * plane + pixel]);
-        if index.is_nan() {
-            f32::NAN
-        } else {
-            f32::from(u8::from(index > VEGETATION_INDEX))
-        }
+    let values = (0..plane).map(|pixel| match index.of(|band| albedo.values[band * plane + pixel]) {
+        index if index.is_nan() => f32::NAN,
+        index => f32::from(u8::from(index > VEGETATION_INDEX)),
     });
     Raster {
-        width: albedo.width,
-        height: albedo.height,
         bands: 1,
         values: values.collect(),
+        ..*albedo
     }
 }
 

@@ -32,13 +32,14 @@ const STEP_M: f64 = 0.001;
 pub fn write(path: &Path, model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<usize, RasterError> {
     let failed = |error: las::Error| RasterError::Write(path.to_owned(), error.to_string());
     let points = points(model, crs, geoid)?;
-    let crs = match geoid {
-        Some(geoid) => geoid.compound(crs)?,
-        None => crs.clone(),
-    };
-    let bytes = encode(&points, &crs).map_err(failed)?;
+    let bytes = encode(&points, &above(crs, geoid)?).map_err(failed)?;
     write_atomically(path, &bytes)?;
     Ok(points.len())
+}
+
+/// A coordinate system with its vertical part.
+fn above(crs: &Crs, geoid: Option<Geoid>) -> Result<Crs, RasterError> {
+    geoid.map_or_else(|| Ok(crs.clone()), |geoid| geoid.compound(crs))
 }
 
 fn encode(points: &[Point], crs: &Crs) -> Result<Vec<u8>, las::Error> {
@@ -87,17 +88,13 @@ pub type Part = (PathBuf, [f64; 4]);
 /// When a cloud cannot be read, a geoid's grid is missing, or the file cannot be written.
 pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>) -> Result<usize, RasterError> {
     let failed = |error: las::Error| RasterError::Write(path.to_owned(), error.to_string());
-    let crs = match geoid {
-        Some(geoid) => geoid.compound(&grid.crs)?,
-        None => grid.crs.clone(),
-    };
+    let crs = above(&grid.crs, geoid)?;
     let table = geoid.map(|geoid| GeoidGrid::new(geoid, grid)).transpose()?;
     let below = |x: f64, y: f64| {
         let [col, row] = grid.transform.pixel_from_map(x, y);
         let cell = |at: f64, cells: usize| (at.round().max(0.0) as usize).min(cells.saturating_sub(1));
-        table
-            .as_ref()
-            .map_or(0.0, |table| table.at(cell(col, grid.width), cell(row, grid.height)))
+        let (col, row) = (cell(col, grid.width), cell(row, grid.height));
+        table.as_ref().map_or(0.0, |table| table.at(col, row))
     };
     let corner = grid.transform.map_from_pixel(-0.5, grid.height as f64 - 0.5);
     // Heights have the offset zero: the lowest is unknown until all are read.
@@ -149,6 +146,11 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
         let green = index.is_some_and(|index| index.of(|band| colour[band]) > VEGETATION_INDEX);
         let count = |band: usize| (colour[band] / brightest).clamp(0.0, 1.0).powf(1.0 / 2.2) * f32::from(u16::MAX);
         let [red, g, blue] = shown.map(|band| count(band).round() as u16);
+        let class = if green {
+            Classification::HighVegetation
+        } else {
+            Classification::Unclassified
+        };
         points.push(Point {
             x,
             y,
@@ -157,11 +159,7 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
             number_of_returns: 1,
             is_synthetic: true,
             // Vegetation height is classified later, when all points are known.
-            classification: if green {
-                Classification::HighVegetation
-            } else {
-                Classification::Unclassified
-            },
+            classification: class,
             gps_time: Some(0.0),
             color: Some(Color::new(red, g, blue)),
             ..Point::default()
@@ -180,15 +178,12 @@ fn tell_high_from_low(points: &mut [Point], cell: f64) {
         let floor = lowest.entry(place(point)).or_insert(f64::INFINITY);
         *floor = floor.min(point.z);
     }
-    for point in points
-        .iter_mut()
-        .filter(|p| p.classification == Classification::HighVegetation)
-    {
+    let is_high = |point: &&mut Point| point.classification == Classification::HighVegetation;
+    for point in points.iter_mut().filter(is_high) {
         let (col, row) = place(point);
         let around = (-1..=1).flat_map(|dc| (-1..=1).map(move |dr| (col + dc, row + dr)));
-        let floor = around
-            .filter_map(|cell| lowest.get(&cell))
-            .fold(f64::INFINITY, |a, &b| a.min(b));
+        let floors = around.filter_map(|cell| lowest.get(&cell)).copied();
+        let floor = floors.fold(f64::INFINITY, f64::min);
         if point.z - floor < HIGH_M {
             point.classification = Classification::LowVegetation;
         }

@@ -1,5 +1,6 @@
 //! The scene under any sun, and its shadow mask.
 
+use super::dsm::blank_unknown;
 use super::nadir::NadirGrid;
 use super::surface_shadow::SurfaceShadows;
 use super::views::camera_of;
@@ -95,29 +96,19 @@ impl<'a> Viewpoint<'a> {
     /// [`RelightError`] when no image has this name, or the grid from above cannot be made.
     pub fn new(model: &'a LoadedModel, view: &str) -> Result<Self, RelightError> {
         if view == "nadir" {
-            return Ok(Self::above(
-                model,
-                &NadirGrid::new(&model.into(), model.file.gsd_m, None)?,
-            ));
+            let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
+            return Ok(Self::above(model, &nadir));
         }
-        Ok(Self {
-            model,
-            camera: named_camera(model, view)?,
-            above: None,
-        })
+        let (camera, above) = (named_camera(model, view)?, None);
+        Ok(Self { model, camera, above })
     }
 
     /// View from straight above: one pixel per cell of a grid.
     pub fn above(model: &'a LoadedModel, nadir: &NadirGrid) -> Self {
         let surface = model.file.has_light().then(|| SurfaceShadows::new(model, nadir));
-        Self {
-            model,
-            camera: nadir.camera,
-            above: Some(Above {
-                grid: nadir.grid.clone(),
-                surface,
-            }),
-        }
+        let (camera, grid) = (nadir.camera, nadir.grid.clone());
+        let above = Some(Above { grid, surface });
+        Self { model, camera, above }
     }
 
     /// Renders the view under `sun`, in counts of the reference image: exposure and path radiance are those of that
@@ -131,13 +122,7 @@ impl<'a> Viewpoint<'a> {
         let mut image = composed(self.model, sun, light, &self.camera, &maps)?;
         let counts = self.model.file.counts_per_unit as f32;
         image.values.iter_mut().for_each(|value| *value *= counts);
-        for (i, lit) in visibility.values.iter().enumerate() {
-            if lit.is_nan() {
-                for band in 0..image.bands {
-                    image.plane_mut(band)[i] = f32::NAN;
-                }
-            }
-        }
+        blank_unknown(&mut image, &visibility.values);
         Ok(Relit {
             image,
             visibility,
@@ -298,10 +283,8 @@ fn exposure(model: &LoadedModel) -> String {
         .images
         .iter()
         .find(|image| image.appearance == Some(reference));
-    let kept = path_radiance(model).into_iter();
-    let kept: Vec<String> = kept
-        .map(|value| format!("{:.0}", f64::from(value) * model.file.counts_per_unit))
-        .collect();
+    let counts = |value: f32| format!("{:.0}", f64::from(value) * model.file.counts_per_unit);
+    let kept: Vec<String> = path_radiance(model).into_iter().map(counts).collect();
     format!(
         "counts of {} under this sun, its path radiance of {} kept",
         image.map_or("the reference image", |image| image.name.as_str()),
@@ -352,14 +335,11 @@ impl Relit {
             Some(_) => write_cog(path, &spec)?,
             None => write_geotiff(path, &spec, SampleType::F32)?,
         }
-        write_geotiff(
-            &mask_path,
-            &ImageSpec {
-                georeference,
-                ..ImageSpec::plain(&mask)
-            },
-            SampleType::U8,
-        )?;
+        let mask = ImageSpec {
+            georeference,
+            ..ImageSpec::plain(&mask)
+        };
+        write_geotiff(&mask_path, &mask, SampleType::U8)?;
         Ok(mask_path)
     }
 }

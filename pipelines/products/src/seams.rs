@@ -105,9 +105,7 @@ pub fn measure(altitude: &Raster, pieces: &[Piece]) -> Seams {
     for axis in 0..2 {
         for at in 1..size[axis] {
             let line = Line { axis, at };
-            let found: Vec<f32> = (0..size[1 - axis])
-                .filter_map(|along| step(line.cells(along), &mosaic))
-                .collect();
+            let found: Vec<f32> = steps_along(line, size[1 - axis], &mosaic).collect();
             let mean = found.iter().map(|&s| f64::from(s)).sum::<f64>() / found.len().max(1) as f64;
             if cores[axis].contains(&at) {
                 border_means.push(mean);
@@ -133,30 +131,27 @@ pub fn measure(altitude: &Raster, pieces: &[Piece]) -> Seams {
     }
 }
 
-fn step([a, b]: [[isize; 2]; 2], value: &impl Fn([isize; 2]) -> f32) -> Option<f32> {
-    let step = (value(a) - value(b)).abs();
-    step.is_finite().then_some(step)
+fn steps_along(line: Line, length: isize, value: &impl Fn([isize; 2]) -> f32) -> impl Iterator<Item = f32> {
+    let steps = (0..length).map(move |along| line.cells(along));
+    steps
+        .map(|[a, b]| (value(a) - value(b)).abs())
+        .filter(|step| step.is_finite())
 }
 
 /// Steps across a line in every tile that has values on both sides.
 fn own_steps(line: Line, length: isize, pieces: &[Piece]) -> Vec<f32> {
-    let of = |piece: &Piece| -> Vec<f32> {
-        let value = |[col, row]: [isize; 2]| piece.value(0, col, row);
-        (0..length)
-            .filter_map(|along| step(line.cells(along), &value))
-            .collect()
-    };
+    let of =
+        |piece: &Piece| -> Vec<f32> { steps_along(line, length, &|[col, row]| piece.value(0, col, row)).collect() };
     pieces.iter().flat_map(of).collect()
 }
 
 fn differences(pieces: &[Piece]) -> Vec<Difference> {
-    let mut all = Vec::new();
-    for (index, first) in pieces.iter().enumerate() {
-        for second in &pieces[index + 1..] {
-            all.extend(difference(first, second));
-        }
-    }
-    all
+    let later = |(index, first)| {
+        pieces[index + 1..]
+            .iter()
+            .filter_map(move |second| difference(first, second))
+    };
+    pieces.iter().enumerate().flat_map(later).collect()
 }
 
 fn difference(first: &Piece, second: &Piece) -> Option<Difference> {
@@ -164,11 +159,9 @@ fn difference(first: &Piece, second: &Piece) -> Option<Difference> {
         let ([a0, a1], [b0, b1]) = (first.bounds[axis], second.bounds[axis]);
         a0.max(b0)..a1.min(b1)
     };
-    let mut apart: Vec<f32> = shared(1)
-        .flat_map(|row| shared(0).map(move |col| (col, row)))
-        .map(|(col, row)| second.value(0, col, row) - first.value(0, col, row))
-        .filter(|d| d.is_finite())
-        .collect();
+    let cells = shared(1).flat_map(|row| shared(0).map(move |col| (col, row)));
+    let apart = cells.map(|(col, row)| second.value(0, col, row) - first.value(0, col, row));
+    let mut apart: Vec<f32> = apart.filter(|d| d.is_finite()).collect();
     if apart.is_empty() {
         return None;
     }

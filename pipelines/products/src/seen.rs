@@ -2,9 +2,9 @@
 
 use crate::model::{ModelFile, ModelImage};
 use crate::nadir::NadirGrid;
+use crate::views::camera_of;
 use glam::Vec3;
 use heliosplat::ProjectiveCamera;
-use heliosplat_scene::crop;
 use heliosplat_stereo::{AltitudeGrid, Witnesses, views_seeing};
 
 /// Training images that see each cell of `nadir`'s grid at its ellipsoidal `altitude_m` (metres; cells of NaN are seen
@@ -40,10 +40,7 @@ pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Witnes
         })
         .collect();
     let seeing: Vec<&ModelImage> = model.images.iter().filter(|image| image.appearance.is_some()).collect();
-    let cameras: Vec<ProjectiveCamera> = seeing
-        .iter()
-        .map(|image| crop::camera(&image.map, &image.crop, image.shift_px))
-        .collect();
+    let cameras: Vec<ProjectiveCamera> = seeing.iter().map(|image| camera_of(image)).collect();
     let surface = AltitudeGrid {
         size: (size[0], size[1]),
         west_m: west as f32,

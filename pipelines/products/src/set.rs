@@ -83,11 +83,10 @@ pub fn own_name<'a>((date, sun): (&str, &SunPosition), own: &'a [(String, SunPos
 
 /// Sun of a run with a single date and a known sun for each image; otherwise `None`.
 pub fn only_sun<'a>(images: &[ModelImage], dates: &'a [(String, SunPosition)]) -> Option<&'a SunPosition> {
-    let all_known = images.iter().all(|image| image.sun.is_some());
-    dates
-        .first()
-        .filter(|_| dates.len() == 1 && all_known)
-        .map(|(_, sun)| sun)
+    match dates {
+        [(_, sun)] if images.iter().all(|image| image.sun.is_some()) => Some(sun),
+        _ => None,
+    }
 }
 
 /// Dates that get a shadow mask: none for a model without light.
@@ -127,10 +126,11 @@ pub fn write(
         surface = surface.above(geoid)?;
     }
     if surface.completeness() == 0.0 {
-        return Err(RelightError::Raster(RasterError::Transform(
+        let (name, reason) = (
             nadir.grid.crs.name().to_owned(),
             "nothing of the run falls on its grid".into(),
-        )));
+        );
+        return Err(RasterError::Transform(name, reason).into());
     }
     let above = Viewpoint::above(model, &nadir);
     let sun = request.sun.filter(|_| model.file.has_light());
@@ -194,11 +194,8 @@ pub fn times(images: &[ModelImage], runs: &[&Path]) -> Vec<Timestamp> {
     let inputs = runs.iter().filter_map(|run| inputs(run).ok());
     let of_files: Option<SystemTime> = inputs.flatten().filter_map(|input| written(&input.path)).max();
     let newest = of_files.or_else(|| runs.iter().filter_map(|run| written(&run.join("model.json"))).max());
-    vec![
-        newest
-            .and_then(|time| Timestamp::try_from(time).ok())
-            .unwrap_or_default(),
-    ]
+    let newest = newest.and_then(|time| Timestamp::try_from(time).ok());
+    vec![newest.unwrap_or_default()]
 }
 
 #[cfg(test)]

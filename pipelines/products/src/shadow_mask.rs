@@ -37,17 +37,11 @@ impl Evidence<'_> {
     pub fn visibility(&self) -> Raster {
         let near = near_border(self.traced);
         let weights: Vec<f32> = (0..self.image.bands).map(|band| self.noise(band).powi(-2)).collect();
-        let values = (0..self.traced.plane_len())
-            .into_par_iter()
-            .map(|i| {
-                let traced = self.traced.values[i];
-                if near[i] {
-                    self.weighed(i, traced, &weights)
-                } else {
-                    traced
-                }
-            })
-            .collect();
+        let value = |(i, &traced): (usize, &f32)| match near[i] {
+            true => self.weighed(i, traced, &weights),
+            false => traced,
+        };
+        let values = self.traced.values.par_iter().enumerate().map(value).collect();
         Raster { values, ..*self.traced }
     }
 
@@ -57,10 +51,8 @@ impl Evidence<'_> {
         for (band, weight) in weights.iter().enumerate() {
             let shaded = self.shaded.plane(band)[i];
             let range = self.lit.plane(band)[i] - shaded;
-            let (information, word) = (
-                weight * range * range,
-                weight * range * (self.image.plane(band)[i] - shaded),
-            );
+            let information = weight * range * range;
+            let word = weight * range * (self.image.plane(band)[i] - shaded);
             if information.is_finite() && word.is_finite() {
                 known += information;
                 told += word;
@@ -71,14 +63,9 @@ impl Evidence<'_> {
 
     /// Standard deviation of a band from its rendering, by the median so that cars and edges count little.
     fn noise(&self, band: usize) -> f32 {
-        let mut sizes: Vec<f32> = self
-            .image
-            .plane(band)
-            .iter()
-            .zip(self.rendered.plane(band))
-            .map(|(a, b)| (a - b).abs())
-            .filter(|d| d.is_finite())
-            .collect();
+        let pairs = self.image.plane(band).iter().zip(self.rendered.plane(band));
+        let sizes = pairs.map(|(a, b)| (a - b).abs()).filter(|d| d.is_finite());
+        let mut sizes: Vec<f32> = sizes.collect();
         upper_median(&mut sizes).map_or(1.0, |size| (SIGMA_PER_MAD as f32 * size).max(LEAST_NOISE))
     }
 }

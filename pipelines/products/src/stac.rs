@@ -58,11 +58,8 @@ impl Asset {
         gsd_m: f64,
         sun: Option<&SunPosition>,
     ) -> Self {
-        let described: Vec<Value> = bands
-            .iter()
-            .enumerate()
-            .map(|(index, band)| describe(raster.plane(index), band, numbers, gsd_m))
-            .collect();
+        let described = |(index, band)| describe(raster.plane(index), band, numbers, gsd_m);
+        let described: Vec<Value> = bands.iter().enumerate().map(described).collect();
         let mut value = json!({
             "href": located(file), "title": title, "type": COG, "roles": ["data"],
             "bands": described,
@@ -175,10 +172,8 @@ type Place<'a> = (&'a GridSpec, f64, &'a str);
 /// When a corner of the grid lies outside of its coordinate system.
 pub fn item(about: &ItemMetadata, place: Place, assets: &[Asset]) -> Result<Value, RasterError> {
     let corners = corners(place.0)?;
-    let assets: Map<String, Value> = assets
-        .iter()
-        .map(|asset| (asset.key.clone(), asset.value.clone()))
-        .collect();
+    let assets = assets.iter().map(|asset| (asset.key.clone(), asset.value.clone()));
+    let assets: Map<String, Value> = assets.collect();
     let links = match about.collection {
         Some((_, href)) => ["root", "parent", "collection"]
             .map(|rel| json!({"rel": rel, "href": href, "type": "application/json"}))
@@ -234,16 +229,12 @@ fn properties(about: &ItemMetadata, (grid, gsd_m, vertical_datum): Place) -> Val
 fn corners(grid: &GridSpec) -> Result<[[f64; 2]; 4], RasterError> {
     let to_lon_lat = CrsTransform::to_lon_lat(&grid.crs)?;
     let (right, bottom) = (grid.width as f64 - 0.5, grid.height as f64 - 0.5);
-    let mut out = [[0.0; 2]; 4];
-    for (corner, (col, row)) in out
-        .iter_mut()
-        .zip([(-0.5, bottom), (right, bottom), (right, -0.5), (-0.5, -0.5)])
-    {
+    let corner = |(col, row): (f64, f64)| {
         let [x, y] = grid.transform.map_from_pixel(col, row);
-        let (lon, lat) = to_lon_lat.apply(x, y)?;
-        *corner = [lon, lat];
-    }
-    Ok(out)
+        Ok::<[f64; 2], RasterError>(to_lon_lat.apply(x, y)?.into())
+    };
+    let [a, b, c, d] = [(-0.5, bottom), (right, bottom), (right, -0.5), (-0.5, -0.5)].map(corner);
+    Ok([a?, b?, c?, d?])
 }
 
 /// Longitude that differs from a longitude by whole turns and is nearest to `other`, degrees.
@@ -349,18 +340,15 @@ fn side(ring: &[[f64; 2]], sign: f64) -> Vec<[f64; 2]> {
 
 /// STAC Collection of some items, as JSON. Each item comes with its folder, relative to the collection.
 pub fn collection(id: &str, items: &[(String, Value)]) -> Value {
-    let boxes: Vec<[f64; 4]> = items
+    let boxes = items
         .iter()
-        .filter_map(|(_, item)| serde_json::from_value::<[f64; 4]>(item["bbox"].clone()).ok())
-        .map(|[west, south, east, north]| [west, south, if east < west { east + 360.0 } else { east }, north])
-        .collect();
+        .filter_map(|(_, item)| serde_json::from_value::<[f64; 4]>(item["bbox"].clone()).ok());
+    let unwrapped =
+        |[west, south, east, north]: [f64; 4]| [west, south, if east < west { east + 360.0 } else { east }, north];
+    let boxes: Vec<[f64; 4]> = boxes.map(unwrapped).collect();
     let times = |key: &'static str| {
-        items.iter().filter_map(move |(_, item)| {
-            let text = item["properties"][key]
-                .as_str()
-                .or(item["properties"]["datetime"].as_str());
-            text.map(str::to_owned)
-        })
+        let all = items.iter().map(|(_, item)| &item["properties"]);
+        all.filter_map(move |all| all[key].as_str().or(all["datetime"].as_str()).map(str::to_owned))
     };
     let mut links = vec![json!({"rel": "root", "href": "./collection.json", "type": "application/json"})];
     links.extend(items.iter().map(

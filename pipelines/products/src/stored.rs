@@ -40,11 +40,11 @@ impl StoredPiece {
     /// none.
     fn rows(&self, rows: &Range<isize>) -> Result<Option<Piece>, RasterError> {
         let Piece {
-            unit,
             raster,
             at,
             core,
             bounds,
+            ..
         } = &self.outline;
         let (first, end) = (rows.start.max(at[1]), rows.end.min(at[1] + raster.height as isize));
         if first >= end {
@@ -67,7 +67,7 @@ impl StoredPiece {
         read().map_err(|error: std::io::Error| RasterError::Damaged(self.file.clone(), error.to_string()))?;
         let moved = |span: &[isize; 2]| span.map(|row| row - rows.start);
         Ok(Some(Piece {
-            unit: unit.clone(),
+            unit: self.outline.unit.clone(),
             raster: part,
             at: [at[0], first - rows.start],
             core: [core[0], moved(&core[1])],

@@ -31,9 +31,8 @@ pub fn colour(colours: &[&str], share: f32) -> [u8; 3] {
     let last = colours.len().saturating_sub(1);
     let at = share.clamp(0.0, 1.0) * last as f32;
     let channel = |place: usize, channel: usize| {
-        let digits = colours
-            .get(place.min(last))
-            .and_then(|text| text.get(2 * channel + 1..2 * channel + 3));
+        let text = colours.get(place.min(last));
+        let digits = text.and_then(|text| text.get(2 * channel + 1..2 * channel + 3));
         f32::from(
             digits
                 .and_then(|digits| u8::from_str_radix(digits, 16).ok())
@@ -164,13 +163,9 @@ pub struct Layer {
 impl Layer {
     /// Layer of a raster file with a title, a style and a coordinate system.
     pub fn new(file: &str, title: &str, style: &Style, crs: &Crs) -> Self {
-        let code =
-            Some(crs.definition()).filter(|definition| definition.starts_with("EPSG:") && !definition.contains('+'));
-        let srs = format!(
-            "<wkt>{}</wkt><authid>{}</authid>",
-            escaped(crs.wkt()),
-            escaped(code.unwrap_or_default())
-        );
+        let is_code = |text: &&str| text.starts_with("EPSG:") && !text.contains('+');
+        let (wkt, code) = (escaped(crs.wkt()), Some(crs.definition()).filter(is_code));
+        let srs = format!("<wkt>{wkt}</wkt><authid>{}</authid>", escaped(code.unwrap_or_default()));
         let (name, title) = (escaped(&located(file)), escaped(title));
         let id = format!("heliosplat_{}", file.replace(|c: char| !c.is_ascii_alphanumeric(), "_"));
         let checked = if style.is_shown() {
@@ -195,9 +190,8 @@ impl Layer {
     /// Layer of the raster `file` in `layers`, the content of an earlier layer file; `None` where it is not there.
     pub fn earlier(layers: &str, file: &str) -> Option<Self> {
         let name = escaped(&located(file));
-        let tree = layers
-            .split_inclusive('\n')
-            .find(|line| line.contains(&format!("source=\"{name}\"")))?;
+        let source = format!("source=\"{name}\"");
+        let tree = layers.split_inclusive('\n').find(|line| line.contains(&source))?;
         let mut maps = layers.split("  <maplayer ").skip(1);
         let map = maps.find(|map| map.contains(&format!("<datasource>{name}</datasource>")))?;
         let (map, _) = map.split_once("</maplayer>")?;
@@ -236,10 +230,8 @@ fn items(colours: &[&str], [low, high]: [f32; 2]) -> String {
     let mut text = String::new();
     for (place, colour) in colours.iter().enumerate() {
         let value = low + (high - low) * place as f32 / last;
-        let _ = writeln!(
-            text,
-            "     <item value=\"{value}\" label=\"{value:.1}\" color=\"{colour}\" alpha=\"255\"/>"
-        );
+        let item = format!("value=\"{value}\" label=\"{value:.1}\" color=\"{colour}\" alpha=\"255\"");
+        let _ = writeln!(text, "     <item {item}/>");
     }
     text
 }
@@ -254,11 +246,10 @@ fn range(plane: &[f32]) -> [f32; 2] {
 }
 
 fn joined(ranges: [[f32; 2]; 3]) -> [f32; 2] {
+    let start = [f32::INFINITY, f32::NEG_INFINITY];
     ranges
         .into_iter()
-        .fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], [a, b]| {
-            [low.min(a), high.max(b)]
-        })
+        .fold(start, |[low, high], [a, b]| [low.min(a), high.max(b)])
 }
 
 #[cfg(test)]

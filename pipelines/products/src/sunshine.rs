@@ -70,10 +70,8 @@ pub fn sunshine(nadir: &NadirGrid, altitude_m: &Raster, place: GeoPoint, period:
     let azimuths: Vec<usize> = (0..SECTORS).collect();
     for some in azimuths.chunks(AT_ONCE) {
         let horizons = Horizons::new(&facets, &cells);
-        let swept: Vec<Vec<f32>> = some
-            .par_iter()
-            .map(|&sector| horizons.toward(azimuth_rad(sector)))
-            .collect();
+        let swept = some.par_iter().map(|&sector| horizons.toward(azimuth_rad(sector)));
+        let swept: Vec<Vec<f32>> = swept.collect();
         gathered.par_iter_mut().enumerate().for_each(|(cell, sum)| {
             for (&sector, tangents) in some.iter().zip(&swept) {
                 sum.add(sector, f64::from(tangents[cell]), &facets.normal(cell), &suns);

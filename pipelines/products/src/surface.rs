@@ -113,29 +113,27 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
     let count = all.alpha.len();
     // Cliffs have no upward face: there the depths of all Gaussians along one ray serve.
     let or = |depth: Option<f32>, of_all: f32| depth.unwrap_or(of_all);
-    let range: Vec<[f32; 3]> = in_parallel(count)
-        .map(|i| {
-            [
-                or(median_of(&looks, |look| look.near[i]), all.near_depth[i]),
-                or(median_of(&looks, |look| look.median[i]), all.median_depth[i]),
-                or(median_of(&looks, |look| look.far[i]), all.far_depth[i]),
-            ]
-        })
-        .collect();
+    let depths = |i: usize| {
+        [
+            or(median_of(&looks, |look| look.near_depth[i]), all.near_depth[i]),
+            or(median_of(&looks, |look| look.median_depth[i]), all.median_depth[i]),
+            or(median_of(&looks, |look| look.far_depth[i]), all.far_depth[i]),
+        ]
+    };
+    let range: Vec<[f32; 3]> = in_parallel(count).map(depths).collect();
     let leaves = is_leaf.map_or(Vec::new(), |is_leaf| leaf_depths(input, &is_leaf, nadir));
     let known = |i: usize| all.alpha[i] >= ALPHA_KNOWN;
     let mut up_m: Vec<f32> = (0..count)
         .map(|i| if known(i) { -range[i][1] } else { f32::NAN })
         .collect();
-    let doubt_m: Vec<f32> = (0..count)
-        .map(|i| {
-            let doubt_m = 0.5 * (range[i][2] - range[i][0]);
-            match leaves.get(i) {
-                Some(&leaf) if (leaf - range[i][1]).abs() < ONE_CROWN_M => input.doubt_of_leaves() * doubt_m,
-                _ => doubt_m,
-            }
-        })
-        .collect();
+    let doubt = |i: usize| {
+        let doubt_m = 0.5 * (range[i][2] - range[i][0]);
+        match leaves.get(i) {
+            Some(&leaf) if (leaf - range[i][1]).abs() < ONE_CROWN_M => input.doubt_of_leaves() * doubt_m,
+            _ => doubt_m,
+        }
+    };
+    let doubt_m: Vec<f32> = (0..count).map(doubt).collect();
     smooth_by_deviation(nadir.width, cell_m, &mut up_m, &doubt_m);
     in_parallel(count)
         .map(|i| {
@@ -152,7 +150,7 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
 }
 
 /// Median of a depth over the sampled places that have one.
-fn median_of(looks: &[RayDepths], depth: impl Fn(&RayDepths) -> f32) -> Option<f32> {
+fn median_of(looks: &[Maps], depth: impl Fn(&Maps) -> f32) -> Option<f32> {
     let mut known: Vec<f32> = looks.iter().map(depth).filter(|z| z.is_finite()).collect();
     upper_median(&mut known)
 }
@@ -165,24 +163,15 @@ fn leaf_depths(input: &SurfaceGaussians, is_leaf: &[bool], nadir: &ProjectiveCam
             *opacity = logit(f32::MIN_POSITIVE);
         }
     }
-    let Maps {
-        mut median_depth,
-        alpha,
-        ..
-    } = depths(&alone, nadir, &input.projection);
-    forget_thin(&mut median_depth, &alpha);
-    median_depth
+    let mut seen = depths(&alone, nadir, &input.projection);
+    forget_thin(&mut seen.median_depth, &seen.alpha);
+    seen.median_depth
 }
 
 /// Depths along the rays of one place of each cell, metres; NaN where the coverage is low.
-struct RayDepths {
-    near: Vec<f32>,
-    median: Vec<f32>,
-    far: Vec<f32>,
-}
 
 /// Depths of upward faces at each of the sampled places of the cells.
-fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveCamera) -> Vec<RayDepths> {
+fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveCamera) -> Vec<Maps> {
     let facing = facing_up(input.gaussians, is_leaf);
     // The filter of a pixel as wide as a sampled place.
     let projection = ProjectionOptions {
@@ -192,21 +181,11 @@ fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveC
     let aside = |k: usize| (k as f32 - (PLACES - 1) as f32 / 2.0) / PLACES as f32;
     let look = |place: usize| {
         let camera = nadir.shifted(aside(place % PLACES), aside(place / PLACES));
-        let Maps {
-            mut near_depth,
-            mut median_depth,
-            mut far_depth,
-            alpha,
-            ..
-        } = depths(&facing, &camera, &projection);
-        for plane in [&mut near_depth, &mut median_depth, &mut far_depth] {
-            forget_thin(plane, &alpha);
+        let mut seen = depths(&facing, &camera, &projection);
+        for plane in [&mut seen.near_depth, &mut seen.median_depth, &mut seen.far_depth] {
+            forget_thin(plane, &seen.alpha);
         }
-        RayDepths {
-            near: near_depth,
-            median: median_depth,
-            far: far_depth,
-        }
+        seen
     };
     (0..PLACES * PLACES).map(look).collect()
 }

@@ -10,9 +10,9 @@
 //! numbers ([`CASTER`]). Limits: each cell has one altitude, so the space under crowns and bridges is missing; unknown
 //! cells cast no shadow.
 
+use crate::dsm::altitudes;
 use crate::model::LoadedModel;
 use crate::nadir::{CellVectors, NadirGrid};
-use crate::surface::{self, ALPHA_KNOWN};
 use heliosplat_rpc::sun::SunPosition;
 use std::f32::consts::PI;
 
@@ -85,17 +85,9 @@ impl SurfaceShadows {
 
     /// Surface of `model` on the grid of `nadir`, unknown where the Gaussians do not cover a cell.
     pub(crate) fn new(model: &LoadedModel, nadir: &NadirGrid) -> Self {
-        let cells = surface::cells(&model.into(), &nadir.camera, nadir.cell_m());
-        let up_m = |cell: &surface::Cell| {
-            if cell.coverage >= ALPHA_KNOWN {
-                cell.up_m
-            } else {
-                f32::NAN
-            }
-        };
         Self {
             width: nadir.grid.width,
-            up_m: cells.iter().map(up_m).collect(),
+            up_m: altitudes(&nadir.camera, &model.into(), nadir.cell_m()),
             cells: nadir.cell_vectors_m(model.frame.origin.height_m),
         }
     }
@@ -173,11 +165,7 @@ impl SurfaceShadows {
                 Ok(k) if k < sweep.across => self.up_m[place(k)],
                 _ => f32::NAN,
             };
-            let (from, to) = (
-                (-whole - 1).max(0),
-                (sweep.across as i64 - whole).min(rays.len() as i64),
-            );
-            for r in from..to {
+            for r in (-whole - 1).max(0)..(sweep.across as i64 - whole).min(rays.len() as i64) {
                 let between = sweep.between(altitude(r + whole), altitude(r + whole + 1), part);
                 sweep.pass(&mut rays[r as usize], between);
             }
@@ -224,14 +212,9 @@ impl Sweep {
         match (a.is_nan(), b.is_nan()) {
             (true, _) => b,
             (_, true) => a,
-            _ if (a - b).abs() > CASTER.steep * self.step_m => {
-                if part < 0.5 {
-                    a
-                } else {
-                    b
-                }
-            }
-            _ => a - (a - b) * part,
+            _ if (a - b).abs() <= CASTER.steep * self.step_m => a - (a - b) * part,
+            _ if part < 0.5 => a,
+            _ => b,
         }
     }
 

@@ -1,5 +1,6 @@
 //! Renderings of the images of a run, and their scores.
 
+use super::dsm::blank_unknown;
 use super::shadow_mask::Evidence;
 use crate::model::{LoadedModel, ModelImage};
 use heliosplat::light::Light;
@@ -61,17 +62,12 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
     let sun = image.sun.filter(|_| model.file.has_light());
     let light = sun.map(|sun| Light::Directional(crop::toward(&sun)));
     let appearance = image.appearance.or(image.same_day);
+    let (shown, options) = (&model.parameters, model.pass_options());
+    let seen = render(&model.model, shown, &camera, light, appearance, options);
     let Rendering {
         image: mut colours,
         maps,
-    } = render(
-        &model.model,
-        &model.parameters,
-        &camera,
-        light,
-        appearance,
-        model.pass_options(),
-    );
+    } = seen;
     let mut traced = Raster {
         width: camera.width,
         height: camera.height,
@@ -87,11 +83,9 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         if let Some(truth) = truth {
             colour = Colouring::LeftHalf;
             for band in 0..colours.bands {
-                fit_band(&maps.channels[band], sunlight, truth.plane(band), camera.width).apply(
-                    &maps.channels[band],
-                    sunlight,
-                    colours.plane_mut(band),
-                );
+                let albedo = &maps.channels[band];
+                let light = fit_band(albedo, sunlight, truth.plane(band), camera.width);
+                light.apply(albedo, sunlight, colours.plane_mut(band));
             }
         }
     }
@@ -114,13 +108,7 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         }
         .visibility()
     });
-    for (i, v) in traced.values.iter().enumerate() {
-        if v.is_nan() {
-            for band in 0..colours.bands {
-                colours.plane_mut(band)[i] = f32::NAN;
-            }
-        }
-    }
+    blank_unknown(&mut colours, &traced.values);
     if light.is_none() {
         // Everything was rendered as lit; that is no statement about shadows.
         traced.values.fill(f32::NAN);
@@ -158,10 +146,8 @@ fn fit_band(albedo: &[f32], sunlight: &[f32], truth: &[f32], width: usize) -> Ba
             right += x * f64::from(t);
         }
     }
-    let solution = normal
-        .try_inverse()
-        .map_or(nalgebra::Vector3::new(1.0, 0.3, 0.0), |inverse| inverse * right);
-    BandLight([solution.x, solution.y, solution.z])
+    let usual = nalgebra::Vector3::new(1.0, 0.3, 0.0);
+    BandLight(normal.try_inverse().map_or(usual, |inverse| inverse * right).into())
 }
 
 /// Scores of a rendered view, clipped at the saturation of `truth`, against `truth`; on the right half only where

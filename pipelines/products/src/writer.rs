@@ -15,7 +15,7 @@ use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
 use heliosplat_scene::indices::NormalisedDifference;
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Name of the STAC item.
 const ITEM: &str = "item.json";
@@ -32,8 +32,6 @@ const THUMBNAIL_PX: usize = 512;
 pub struct Set {
     /// The STAC item.
     pub item: Value,
-    /// Paths of the files, `item.json` last.
-    pub files: Vec<PathBuf>,
     /// Names of the files in the folder.
     pub names: Vec<String>,
     /// Share of the grid whose altitude is known, 0 to 1.
@@ -102,38 +100,73 @@ impl<'a> Writer<'a> {
         })
     }
 
-    fn spec<'s>(&'s self, raster: &'s Raster, names: &'s [&'s str], metadata: &'s [(String, String)]) -> ImageSpec<'s> {
-        ImageSpec {
-            band_descriptions: names,
-            georeference: Some((&self.grid.transform, &self.grid.crs)),
-            metadata,
-            ..ImageSpec::plain(raster)
-        }
-    }
-
-    fn bytes(
+    /// Writes a raster with its style, and records it.
+    fn raster(
         &mut self,
-        (key, title, name): (&str, &str, &'static str),
-        raster: &Raster,
-        bytes: Bytes,
+        (key, title): (&str, &str),
+        (raster, bands): (&Raster, &[Band]),
+        (bytes, style): (Option<Bytes>, Style),
+        items: &[(String, String)],
         sun: Option<&SunPosition>,
     ) -> Result<(), RasterError> {
         let file = format!("{key}.tif");
-        write_byte_cog(
-            &self.out.join(&file),
-            &self.spec(raster, &[name], &metadata(sun)),
-            bytes,
-        )?;
-        let style = match bytes {
-            Bytes::Shades => Style::Shades([1.0, 255.0]),
-            Bytes::Mask => Style::mask(name),
+        let path = self.out.join(&file);
+        let names: Vec<&str> = bands.iter().map(|band| band.name).collect();
+        let units: Vec<&str> = bands
+            .iter()
+            .map(|band| band.unit)
+            .filter(|unit| !unit.is_empty())
+            .collect();
+        let metadata: Vec<_> = metadata(sun).into_iter().chain(items.iter().cloned()).collect();
+        let spec = ImageSpec {
+            band_descriptions: &names,
+            band_units: &units,
+            georeference: Some((&self.grid.transform, &self.grid.crs)),
+            metadata: &metadata,
+            ..ImageSpec::plain(raster)
         };
-        self.styled(&file, title, style)?;
-        let bands = [Band { name, unit: "" }];
-        let numbers = Numbers::Byte(bytes.nodata());
-        let asset = Asset::raster((key, &file, title), raster, &bands, numbers, self.gsd_m, sun);
-        self.assets.push(asset);
+        match bytes {
+            Some(bytes) => write_byte_cog(&path, &spec, bytes)?,
+            None => write_cog(&path, &spec)?,
+        }
+        style.write(&path)?;
+        let numbers = bytes.map_or(Numbers::Float, |bytes| Numbers::Byte(bytes.nodata()));
+        self.record((Path::new(&file), title), (raster, bands), (numbers, &style), sun);
         Ok(())
+    }
+
+    /// Records a raster, which is written already, for the item and the layer file.
+    fn record(
+        &mut self,
+        (file, title): (&Path, &str),
+        (raster, bands): (&Raster, &[Band]),
+        (numbers, style): (Numbers, &Style),
+        sun: Option<&SunPosition>,
+    ) {
+        let (key, name) = (
+            file.file_stem().unwrap_or_default().to_string_lossy(),
+            file.to_string_lossy(),
+        );
+        let asset = Asset::raster((&key, &name, title), raster, bands, numbers, self.gsd_m, sun);
+        self.assets.push(asset);
+        self.layers.push(Layer::new(&name, title, style, &self.grid.crs));
+    }
+
+    fn mask(
+        &mut self,
+        names: (&str, &str),
+        raster: &Raster,
+        name: &'static str,
+        sun: Option<&SunPosition>,
+    ) -> Result<(), RasterError> {
+        let bands = [Band { name, unit: "" }];
+        self.raster(
+            names,
+            (raster, &bands),
+            (Some(Bytes::Mask), Style::mask(name)),
+            &[],
+            sun,
+        )
     }
 
     /// Writes the map of changes between the images.
@@ -149,52 +182,31 @@ impl<'a> Writer<'a> {
         let first = Path::new("change.tif");
         changes.write(&self.out.join(first), self.grid)?;
         for (index, title) in TITLES.into_iter().enumerate().rev() {
-            let band = Band {
-                name: change::BANDS[index],
-                unit: change::UNITS[index],
-            };
+            let (name, unit) = (change::BANDS[index], change::UNITS[index]);
             let numbers = if index == 1 { Numbers::Dates } else { Numbers::Float };
-            let file = ChangeMap::file_of(first, index);
-            self.described(&file, title, &changes.raster.band(index), band, numbers);
-            self.layered(&file.to_string_lossy(), title, &changes.style(index));
+            let (file, raster) = (ChangeMap::file_of(first, index), changes.raster.band(index));
+            let look = (numbers, &changes.style(index));
+            self.record((&file, title), (&raster, &[Band { name, unit }]), look, None);
         }
         Ok(())
     }
 
-    /// Records a raster of one band, which is written already.
-    fn described(&mut self, file: &Path, title: &str, raster: &Raster, band: Band, numbers: Numbers) {
-        let key = file.file_stem().unwrap_or_default().to_string_lossy();
-        let names = (&*key, &*file.to_string_lossy(), title);
-        let asset = Asset::raster(names, raster, &[band], numbers, self.gsd_m, None);
-        self.assets.push(asset);
-    }
-
     fn floats(
         &mut self,
-        (key, title): (&str, &str),
+        names: (&str, &str),
         raster: &Raster,
         bands: &[BandKind],
         sun: Option<&SunPosition>,
     ) -> Result<(), RasterError> {
-        let file = format!("{key}.tif");
-        let names: Vec<&str> = bands.iter().map(|band| band.name()).collect();
-        write_cog(&self.out.join(&file), &self.spec(raster, &names, &metadata(sun)))?;
-        self.styled(&file, title, Style::colours(raster, &names))?;
-        let bands: Vec<Band> = names.iter().map(|name| Band { name, unit: "" }).collect();
-        let asset = Asset::raster((key, &file, title), raster, &bands, Numbers::Float, self.gsd_m, sun);
-        self.assets.push(asset);
-        Ok(())
-    }
-
-    /// Writes the style of a raster beside it, and records the raster for the layer file.
-    fn styled(&mut self, file: &str, title: &str, style: Style) -> Result<(), RasterError> {
-        style.write(&self.out.join(file))?;
-        self.layered(file, title, &style);
-        Ok(())
-    }
-
-    fn layered(&mut self, file: &str, title: &str, style: &Style) {
-        self.layers.push(Layer::new(file, title, style, &self.grid.crs));
+        let kinds: Vec<&str> = bands.iter().map(|band| band.name()).collect();
+        let bands: Vec<Band> = kinds.iter().map(|name| Band { name, unit: "" }).collect();
+        self.raster(
+            names,
+            (raster, &bands),
+            (None, Style::colours(raster, &kinds)),
+            &[],
+            sun,
+        )
     }
 
     /// Writes the surface model, the ground below it, the heights above the ground, and a hillshade. In the products
@@ -222,21 +234,20 @@ impl<'a> Writer<'a> {
             "Images that see the surface",
         ];
         for (index, title) in titles.into_iter().enumerate().rev() {
-            let band = Band {
-                name: BANDS[index],
-                unit: UNITS[index],
-            };
+            let (name, unit) = (BANDS[index], UNITS[index]);
             let (file, raster) = (dsm::file_of(first, index), dsm.raster.band(index));
-            self.described(&file, title, &raster, band, Numbers::Float);
-            self.layered(&file.to_string_lossy(), title, &dsm::style(index, &raster.values));
+            let look = (Numbers::Float, &dsm::style(index, &raster.values));
+            self.record((&file, title), (&raster, &[Band { name, unit }]), look, None);
         }
         self.completeness = dsm.completeness();
         let size = (self.grid.width, self.grid.height);
         let cell_m = self.grid.transform.cell_m(size, Some(&self.grid.crs));
         self.ground(dsm, around, cell_m[0] as f32)?;
         let shade = around.inner(&ortho::hillshade(&around.altitude, cell_m), size);
-        let title = "Hillshade of the surface, light from the north-west";
-        self.bytes(("hillshade", title, "shade"), &shade, Bytes::Shades, None)
+        let names = ("hillshade", "Hillshade of the surface, light from the north-west");
+        let (name, unit) = ("shade", "");
+        let look = (Some(Bytes::Shades), Style::Shades([1.0, 255.0]));
+        self.raster(names, (&shade, &[Band { name, unit }]), look, &[], None)
     }
 
     /// Writes the ground below the surface, and the heights above it.
@@ -279,17 +290,13 @@ impl<'a> Writer<'a> {
         // A narrow strip keeps at least one pixel of its shorter side.
         let smaller = width.max(height).div_ceil(THUMBNAIL_PX).min(width.min(height)).max(1);
         write_png(&self.out.join(THUMBNAIL), &stretched(&albedo.downscaled(smaller)))?;
-        self.assets.push(Asset::other(
-            ("thumbnail", THUMBNAIL, "Thumbnail"),
-            "image/png",
-            "thumbnail",
-        ));
+        let thumbnail = ("thumbnail", THUMBNAIL, "Thumbnail");
+        self.assets.push(Asset::other(thumbnail, "image/png", "thumbnail"));
         let Some(index) = index else {
             return Ok(());
         };
         let leaves = ortho::vegetation(albedo, index);
-        let names = ("vegetation", "Vegetation by its index", "vegetation");
-        self.bytes(names, &leaves, Bytes::Mask, None)?;
+        self.mask(("vegetation", "Vegetation by its index"), &leaves, "vegetation", None)?;
         let Some(mut canopy) = self.above.take() else {
             return Ok(());
         };
@@ -314,8 +321,8 @@ impl<'a> Writer<'a> {
     ) -> Result<(), RasterError> {
         let title = "Ortho image under the sun asked for, counts";
         self.floats(("relit", title), image, bands, Some(sun))?;
-        let names = ("relit_shadow", "Shadows under the sun asked for", "shadow");
-        self.bytes(names, shadows, Bytes::Mask, Some(sun))
+        let names = ("relit_shadow", "Shadows under the sun asked for");
+        self.mask(names, shadows, "shadow", Some(sun))
     }
 
     /// Writes hours of direct sun, sky view factor and irradiation of a period.
@@ -326,11 +333,8 @@ impl<'a> Writer<'a> {
         let (from, to) = period.ends();
         let when = format!("{from} to {to}");
         let about = |text: &str| vec![("DESCRIPTION".to_owned(), text.to_owned())];
-        let during = |text: &str| {
-            let mut items = about(text);
-            items.extend([("FROM".to_owned(), from.to_string()), ("TO".to_owned(), to.to_string())]);
-            items
-        };
+        let ends = [("FROM".to_owned(), from.to_string()), ("TO".to_owned(), to.to_string())];
+        let during = |text: &str| [about(text), ends.to_vec()].concat();
         let mut energy = during(
             "irradiation of the inclined surface under a clear sky, total of the period: beam and sky by the ESRA model, without reflected light",
         );
@@ -342,10 +346,7 @@ impl<'a> Writer<'a> {
                 during("hours of direct sun per day, mean over the days of the period"),
             ),
             (
-                (
-                    "sky_view",
-                    "Sky view factor: share of the light of an even sky".to_owned(),
-                ),
+                ("sky_view", "Sky view factor: share of the light of an even sky".into()),
                 (&shone.sky_view, "sky_view_factor", "1"),
                 about("share of the light of an even sky that reaches the inclined surface"),
             ),
@@ -364,25 +365,13 @@ impl<'a> Writer<'a> {
 
     fn quantity(
         &mut self,
-        (key, title): (&str, &str),
+        names: (&str, &str),
         raster: &Raster,
         (name, unit): (&str, &str),
         items: &[(String, String)],
         style: Style,
     ) -> Result<(), RasterError> {
-        let file = format!("{key}.tif");
-        let all: Vec<_> = metadata(None).into_iter().chain(items.iter().cloned()).collect();
-        let names = [name];
-        let spec = ImageSpec {
-            band_units: &[unit],
-            ..self.spec(raster, &names, &all)
-        };
-        write_cog(&self.out.join(&file), &spec)?;
-        self.styled(&file, title, style)?;
-        let bands = [Band { name, unit }];
-        let asset = Asset::raster((key, &file, title), raster, &bands, Numbers::Float, self.gsd_m, None);
-        self.assets.push(asset);
-        Ok(())
+        self.raster(names, (raster, &[Band { name, unit }]), (None, style), items, None)
     }
 
     /// Writes the shadow mask of a date.
@@ -391,7 +380,7 @@ impl<'a> Writer<'a> {
     /// When the file cannot be written.
     pub fn shadows(&mut self, date: &str, shadows: &Raster, sun: &SunPosition) -> Result<(), RasterError> {
         let (key, title) = (format!("shadow_{date}"), format!("Shadows of {date}"));
-        self.bytes((&key, &title, "shadow"), shadows, Bytes::Mask, Some(sun))
+        self.mask((&key, &title), shadows, "shadow", Some(sun))
     }
 
     /// Records a point cloud that was written beside the rasters.
@@ -407,8 +396,8 @@ impl<'a> Writer<'a> {
 
     /// Records a page for people that was written beside the rasters.
     pub fn page(&mut self, file: &str, title: &str) {
-        self.assets
-            .push(Asset::other(("page", file, title), "text/html", "overview"));
+        let asset = Asset::other(("page", file, title), "text/html", "overview");
+        self.assets.push(asset);
     }
 
     /// Writes the layer file, and last the STAC item of all products.
@@ -425,20 +414,15 @@ impl<'a> Writer<'a> {
             assets.extend(kept);
         }
         // The last written layer lies on top.
-        let layers: Vec<Layer> = kept_layers
-            .into_iter()
-            .chain(self.layers.iter().rev().cloned())
-            .collect();
+        let own = self.layers.iter().rev().cloned();
+        let layers: Vec<Layer> = kept_layers.into_iter().chain(own).collect();
         write_atomically(&self.out.join(LAYERS), layer_file(said.id, &layers).as_bytes())?;
         write_atomically(&self.out.join(ITEM), format!("{item:#}\n").as_bytes())?;
         let styles = self.layers.iter().map(|layer| layer.file.replace(".tif", ".qml"));
         let mut names: Vec<String> = self.assets.into_iter().map(|asset| asset.file).chain(styles).collect();
-        names.push(LAYERS.into());
-        names.push(ITEM.into());
-        let files: Vec<PathBuf> = names.iter().map(|name| self.out.join(name)).collect();
+        names.extend([LAYERS.into(), ITEM.into()]);
         Ok(Set {
             item,
-            files,
             names,
             completeness: self.completeness,
         })
@@ -447,10 +431,8 @@ impl<'a> Writer<'a> {
 
 /// Metadata items of a raster: the software, and the sun, if any.
 fn metadata(sun: Option<&SunPosition>) -> Vec<(String, String)> {
-    let mut items = vec![(
-        "SOFTWARE".to_owned(),
-        concat!("heliosplat ", env!("CARGO_PKG_VERSION")).to_owned(),
-    )];
+    let software = concat!("heliosplat ", env!("CARGO_PKG_VERSION"));
+    let mut items = vec![("SOFTWARE".to_owned(), software.to_owned())];
     if let Some(sun) = sun {
         let [azimuth, elevation] = sun.degrees();
         items.push(("SUN_AZIMUTH".into(), format!("{azimuth:.4}")));

@@ -7,8 +7,8 @@
 
 use glam::{Vec2, Vec3};
 use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat_raster::Window;
 use heliosplat_raster::file::RasterFile;
-use heliosplat_scene::crop::Crop;
 use heliosplat_scene::indices::{ExcessGreen, NormalisedDifference, VEGETATION_GREEN, VEGETATION_INDEX};
 use heliosplat_scene::{BandKind, SceneImage, Values};
 use heliosplat_stereo::Surface;
@@ -202,7 +202,7 @@ pub fn found(
 ///
 /// # Errors
 /// When the file is missing, damaged, or of another size than its image.
-pub fn from_folder(folder: &Path, image: &SceneImage, crop: &Crop) -> Result<Vec<f32>, String> {
+pub fn from_folder(folder: &Path, image: &SceneImage, crop: &Window) -> Result<Vec<f32>, String> {
     let path = folder.join(format!("{}.tif", image.name));
     let unreadable = |error: heliosplat_raster::RasterError| format!("model.shadow_masks: {error}");
     let file = RasterFile::open(&path).map_err(unreadable)?;

@@ -26,9 +26,9 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
         return Err(refused("it is no regular file but a device or a pipe".into()));
     }
     if known.len() > limit {
+        let bytes = known.len();
         return Err(refused(format!(
-            "it has {} bytes, more than the {limit} that such a file may have",
-            known.len()
+            "it has {bytes} bytes, more than the {limit} that such a file may have"
         )));
     }
     let mut bytes = Vec::new();

@@ -53,21 +53,15 @@ impl Crs {
             Ok((reference.to_wkt()?, reference))
         };
         let (wkt, reference) = messages::collect(read).map_err(unknown)?;
-        let authority = if reference.is_compound() {
-            None
-        } else {
-            messages::collect(|| reference.authority()).ok()
-        };
+        let authority = || messages::collect(|| reference.authority()).ok();
+        let authority = (!reference.is_compound()).then(authority).flatten();
+        let degrees = reference.is_geographic().then_some(METRES_PER_DEGREE);
         Ok(Self {
             definition: authority.unwrap_or_else(|| wkt.clone()),
             name: reference.name().unwrap_or_else(|| shortened(definition)),
             geographic: reference.is_geographic(),
             vertical: (reference.is_compound() || reference.is_vertical()) && !is_above_ellipsoid(&wkt),
-            metres_per_unit: if reference.is_geographic() {
-                METRES_PER_DEGREE
-            } else {
-                reference.linear_units()
-            },
+            metres_per_unit: degrees.unwrap_or_else(|| reference.linear_units()),
             metres_per_height: metres_per_height(&reference),
             wkt,
         })
@@ -79,11 +73,9 @@ impl Crs {
     /// Those of [`Crs::from_definition`]; [`RasterError::UnknownCrs`] also for a system with a vertical datum.
     pub fn horizontal(definition: &str) -> Result<Self, RasterError> {
         let crs = Self::from_definition(definition)?;
+        let reason = "heights are above the ellipsoid here".to_owned();
         match crs.vertical {
-            true => Err(RasterError::UnknownCrs(
-                crs.name,
-                "heights are above the ellipsoid here".to_owned(),
-            )),
+            true => Err(RasterError::UnknownCrs(crs.name, reason)),
             false => Ok(crs),
         }
     }
@@ -144,22 +136,16 @@ impl Crs {
 fn parser(definition: &str) -> Option<fn(&str) -> gdal::errors::Result<SpatialRef>> {
     let is_word =
         |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
-    let names_a_file = |grids: &str| {
-        grids
-            .split([' ', '"'])
-            .next()
-            .is_some_and(|name| name.contains(['/', '\\']))
-    };
+    let first_word = |grids: &str| grids.split([' ', '"']).next().unwrap_or_default().to_owned();
+    let names_a_file = |grids: &str| first_word(grids).contains(['/', '\\']);
     if definition.contains("init=") || definition.split("grids=").skip(1).any(names_a_file) {
         return None;
     }
     if definition.starts_with('+') {
         return Some(SpatialRef::from_proj4);
     }
-    if definition
-        .split_once(['[', '('])
-        .is_some_and(|(keyword, _)| is_word(keyword.trim()))
-    {
+    let keyword = definition.split_once(['[', '(']).map(|(keyword, _)| keyword.trim());
+    if keyword.is_some_and(is_word) {
         return Some(SpatialRef::from_wkt);
     }
     let (authority, code) = definition.split_once(':')?;
@@ -170,9 +156,8 @@ fn parser(definition: &str) -> Option<fn(&str) -> gdal::errors::Result<SpatialRe
 /// Metres per unit of the vertical part.
 fn metres_per_height(reference: &SpatialRef) -> Option<f64> {
     let unit = reference.get_attr_value("VERT_CS|UNIT", 1).ok().flatten()?;
-    unit.parse()
-        .ok()
-        .filter(|metres: &f64| metres.is_finite() && *metres > 0.0)
+    let metres: Option<f64> = unit.parse().ok();
+    metres.filter(|metres| metres.is_finite() && *metres > 0.0)
 }
 
 /// True if the vertical part of a WKT is the height above the ellipsoid, by its name: EPSG has no code for ellipsoidal
@@ -185,10 +170,10 @@ fn is_above_ellipsoid(wkt: &str) -> bool {
 
 fn shortened(definition: &str) -> String {
     const LONGEST: usize = 60;
-    if definition.chars().count() <= LONGEST {
-        return definition.to_owned();
+    match definition.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}...", &definition[..end]),
+        None => definition.to_owned(),
     }
-    definition.chars().take(LONGEST).chain("...".chars()).collect()
 }
 
 /// EPSG code of the UTM zone (UPS near the poles) of a longitude and latitude in degrees, with the exceptions of
@@ -294,10 +279,9 @@ impl CrsTransform {
         let failed = |reason: String| RasterError::Transform(self.target.clone(), reason);
         let (mut x, mut y) = ([x], [y]);
         messages::collect(|| self.transform.transform_coords(&mut x, &mut y, &mut [])).map_err(failed)?;
-        if x[0].is_finite() && y[0].is_finite() {
-            Ok((x[0], y[0]))
-        } else {
-            Err(failed("the point lies outside of it".to_owned()))
+        match x[0].is_finite() && y[0].is_finite() {
+            true => Ok((x[0], y[0])),
+            false => Err(failed("the point lies outside of it".to_owned())),
         }
     }
 }

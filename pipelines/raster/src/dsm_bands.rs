@@ -48,16 +48,16 @@ impl GeoRaster {
             if !path.is_file() {
                 continue;
             }
-            let other = match band == STANDARD_DEVIATION {
-                true => Self::read_heights(&path)?,
-                false => Self::read(&path)?,
+            let read = if band == STANDARD_DEVIATION {
+                Self::read_heights
+            } else {
+                Self::read
             };
-            let size = (surface.raster.width, surface.raster.height);
-            if (other.raster.width, other.raster.height) != size || other.transform != surface.transform {
-                tracing::warn!(
-                    "{}: left out, it is not on the grid of its surface model",
-                    path.display()
-                );
+            let other = read(&path)?;
+            let place = |file: &Self| (file.raster.width, file.raster.height, file.transform);
+            if place(&other) != place(&surface) {
+                let path = path.display();
+                tracing::warn!("{path}: left out, it is not on the grid of its surface model");
                 continue;
             }
             surface.raster.values.extend_from_slice(other.raster.plane(0));

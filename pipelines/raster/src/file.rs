@@ -1,6 +1,8 @@
 //! Reading of a raster file: its description, and its pixels as `f32` with `NaN` where they are missing.
 
-use super::{BandInfo, Colour, Crs, GeoTransform, RasterError, Window, bounded, drivers, masks, messages, siblings};
+use super::{
+    BandInfo, Colour, Crs, GeoTransform, GridSpec, RasterError, Window, bounded, drivers, masks, messages, siblings,
+};
 use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 use heliosplat::Raster;
@@ -96,15 +98,13 @@ impl RasterFile {
     pub fn open(path: &Path) -> Result<Self, RasterError> {
         let not_an_image = |reason| RasterError::NotAnImage(path.to_owned(), reason);
         if path.to_str().is_none() {
-            return Err(RasterError::Unreadable(
-                path.to_owned(),
-                "its name is not UTF-8; rename the file".to_owned(),
-            ));
+            let reason = "its name is not UTF-8; rename the file".to_owned();
+            return Err(RasterError::Unreadable(path.to_owned(), reason));
         }
         let siblings = if is_virtual(path) { None } else { siblings::check(path)? };
-        let siblings = siblings
+        let siblings: Option<Vec<&str>> = siblings
             .as_ref()
-            .map(|names| names.iter().map(String::as_str).collect::<Vec<_>>());
+            .map(|names| names.iter().map(String::as_str).collect());
         let open = |drivers: &[&str]| {
             let options = DatasetOptions {
                 open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
@@ -119,11 +119,12 @@ impl RasterFile {
                 siblings::check_pixels(path)?;
             }
             let open = open(&[drivers::HFA]);
-            open.map_err(|_| match names_other_files(path) {
-                true => not_an_image(
-                    "a virtual raster names other files; make a GeoTIFF of it with gdal_translate".to_owned(),
-                ),
-                false => not_an_image("its format is not recognised".to_owned()),
+            open.map_err(|_| {
+                let reason = match names_other_files(path) {
+                    true => "a virtual raster names other files; make a GeoTIFF of it with gdal_translate",
+                    false => "its format is not recognised",
+                };
+                not_an_image(reason.to_owned())
             })
         };
         let dataset = open(&drivers::DRIVERS).or_else(|_| hfa())?;
@@ -206,13 +207,7 @@ impl RasterFile {
 
     /// Window of the whole image.
     pub fn whole(&self) -> Window {
-        let (width, height) = self.size();
-        Window {
-            col0: 0,
-            row0: 0,
-            width,
-            height,
-        }
+        Window::whole(self.size)
     }
 
     /// Items of one metadata domain; the default domain is `""`, an absent domain is empty.
@@ -262,16 +257,11 @@ impl RasterFile {
         let mut raster = Raster::filled(window.width, window.height, bands.len(), f32::NAN);
         let rows = (SAMPLES_AT_ONCE / (window.width * bands.len()).max(1)).max(1);
         for first in (0..window.height).step_by(rows) {
-            let part = Window {
-                row0: window.row0 + first,
-                height: rows.min(window.height - first),
-                ..window
-            };
-            let values = self.read_part(part, bands)?;
-            let length = part.height * part.width;
-            for band in 0..bands.len() {
-                raster.plane_mut(band)[first * window.width..][..length]
-                    .copy_from_slice(&values[band * length..][..length]);
+            let (row0, height) = (window.row0 + first, rows.min(window.height - first));
+            let values = self.read_part(Window { row0, height, ..window }, bands)?;
+            let length = height * window.width;
+            for (band, values) in values.chunks_exact(length.max(1)).enumerate() {
+                raster.plane_mut(band)[first * window.width..][..length].copy_from_slice(values);
             }
         }
         Ok(raster)
@@ -287,12 +277,14 @@ impl RasterFile {
     pub fn read_reduced(&self, window: Window, factor: usize, bands: &[usize]) -> Result<Raster, RasterError> {
         let factor = factor.max(1);
         let (width, height) = (window.width / factor, window.height / factor);
-        let reduced = Window {
-            width,
-            height,
-            ..window
-        };
-        self.check_size(reduced, bands.len())?;
+        self.check_size(
+            Window {
+                width,
+                height,
+                ..window
+            },
+            bands.len(),
+        )?;
         let mut raster = Raster::filled(width, height, bands.len(), f32::NAN);
         if width == 0 {
             return Ok(raster);
@@ -362,9 +354,8 @@ impl RasterFile {
         let held = std::fs::metadata(&self.path).map_or(u64::MAX, |known| known.len());
         let mut claimed = 0u128;
         for number in 1..=self.bands.len() {
-            let band = dataset
-                .rasterband(number)
-                .map_err(|error| damaged(&self.path, error.to_string()))?;
+            let band = dataset.rasterband(number);
+            let band = band.map_err(|error| damaged(&self.path, error.to_string()))?;
             let mask = messages::collect(|| masks::of_band(dataset, number - 1, |mask| Ok(mask.block_size())));
             let mask = mask.map_err(|reason| damaged(&self.path, reason))?;
             for (width, height) in std::iter::once(band.block_size()).chain(mask) {
@@ -374,9 +365,8 @@ impl RasterFile {
                 }
             }
             // Fewer bits than a byte, where samples are packed.
-            let packed = band
-                .metadata_item("NBITS", "IMAGE_STRUCTURE")
-                .and_then(|bits| bits.parse().ok());
+            let packed = band.metadata_item("NBITS", "IMAGE_STRUCTURE");
+            let packed = packed.and_then(|bits| bits.parse().ok());
             let bits = packed.unwrap_or_else(|| band.band_type().bits());
             claimed += u128::from(bits) * self.size.0 as u128 * self.size.1 as u128 / 8;
         }
@@ -403,13 +393,13 @@ impl RasterFile {
     }
 
     fn read_band(&self, dataset: &Dataset, window: Window, band: usize) -> Result<Vec<f32>, RasterError> {
-        let (_, mut values) = messages::collect(|| {
-            let origin = (window.col0 as isize, window.row0 as isize);
-            let size = (window.width, window.height);
-            dataset.rasterband(band + 1)?.read_as::<f32>(origin, size, size, None)
-        })
-        .map_err(|reason| damaged(&self.path, reason))?
-        .into_shape_and_vec();
+        let (origin, size) = (
+            (window.col0 as isize, window.row0 as isize),
+            (window.width, window.height),
+        );
+        let read = || dataset.rasterband(band + 1)?.read_as::<f32>(origin, size, size, None);
+        let read = messages::collect(read).map_err(|reason| damaged(&self.path, reason))?;
+        let (_, mut values) = read.into_shape_and_vec();
         let nodata = self.bands[band].nodata.map(|value| value as f32);
         for value in &mut values {
             if !value.is_finite() || nodata == Some(*value) {
@@ -505,14 +495,22 @@ impl GeoRaster {
     /// [`RasterError::NotGeoreferenced`], and the errors of [`RasterFile::open`] and [`RasterFile::read`].
     pub fn read(path: &Path) -> Result<Self, RasterError> {
         let file = RasterFile::open(path)?;
-        let transform = file
-            .geo_transform()
-            .ok_or_else(|| RasterError::NotGeoreferenced(path.to_owned()))?;
+        let transform = file.geo_transform();
         Ok(Self {
+            transform: transform.ok_or_else(|| RasterError::NotGeoreferenced(path.to_owned()))?,
             raster: file.read_all()?,
-            transform,
             crs: file.crs(),
             band_names: file.bands.iter().map(|band| band.description.clone()).collect(),
+        })
+    }
+
+    /// Grid of the cells; `None` without a coordinate reference system.
+    pub fn grid(&self) -> Option<GridSpec> {
+        Some(GridSpec {
+            width: self.raster.width,
+            height: self.raster.height,
+            transform: self.transform,
+            crs: self.crs.clone()?,
         })
     }
 

@@ -53,20 +53,15 @@ impl Geoid {
         let parts = definition
             .split_once('+')
             .filter(|(horizontal, _)| horizontal.contains(':'));
-        let geoid = parts.and_then(|(_, vertical)| {
-            let code = vertical.parse::<u32>().ok()?;
-            [Self::Egm96, Self::Egm2008]
-                .into_iter()
-                .find(|geoid| geoid.epsg() == code)
+        let geoid = parts.and_then(|(_, vertical)| match vertical.parse() {
+            Ok(5773) => Some(Self::Egm96),
+            Ok(3855) => Some(Self::Egm2008),
+            _ => None,
         });
+        let reason = "heights are written above the ellipsoid, or in metres above EGM96 as EPSG:N+5773 or EGM2008 as EPSG:N+3855";
         match parts.zip(geoid) {
             Some(((horizontal, _), geoid)) => Ok((Crs::from_definition(horizontal)?, Some(geoid))),
-            None => Err(RasterError::UnknownCrs(
-                whole.name().to_owned(),
-                "heights are written above the ellipsoid, or in metres above EGM96 as EPSG:N+5773 or EGM2008 as \
-                         EPSG:N+3855"
-                    .to_owned(),
-            )),
+            None => Err(RasterError::UnknownCrs(whole.name().to_owned(), reason.to_owned())),
         }
     }
 
@@ -123,11 +118,9 @@ impl Undulation {
         let done = messages::collect_strictly(|| self.transform.transform_coords(&mut x, &mut y, &mut z));
         let failed = |reason: String| RasterError::Transform(format!("heights above {}", self.geoid.name()), reason);
         done.map_err(failed)?;
-        if z[0].is_finite() {
-            Ok(z[0])
-        } else {
-            Err(failed("its grid has no value there".into()))
-        }
+        Some(z[0])
+            .filter(|z| z.is_finite())
+            .ok_or_else(|| failed("its grid has no value there".into()))
     }
 }
 
@@ -194,10 +187,7 @@ impl GeoidGrid {
         let part = |pixel: usize| (pixel % SPACING_PX) as f64 / SPACING_PX as f64;
         let node = |dc: usize, dr: usize| self.nodes[(r + dr) * self.columns + c + dc];
         let mix = |a: f64, b: f64, t: f64| a + t * (b - a);
-        let (top, bottom) = (
-            mix(node(0, 0), node(1, 0), part(col)),
-            mix(node(0, 1), node(1, 1), part(col)),
-        );
+        let [top, bottom] = [0, 1].map(|dr| mix(node(0, dr), node(1, dr), part(col)));
         mix(top, bottom, part(row))
     }
 }

@@ -26,10 +26,8 @@ impl GeoTransform {
     /// lower-left corner, its size in pixels, metres per pixel; `rows` is the raster's own height. `None` where the
     /// text has another form.
     pub fn from_region_text(text: &str, rows: usize) -> Option<Self> {
-        let numbers: Vec<f64> = text
-            .split_whitespace()
-            .filter_map(|word| word.parse().ok().filter(|number: &f64| number.is_finite()))
-            .collect();
+        let numbers = text.split_whitespace().filter_map(|word| word.parse().ok());
+        let numbers: Vec<f64> = numbers.filter(|number: &f64| number.is_finite()).collect();
         match numbers[..] {
             [west, south, _, metres] if metres > 0.0 => {
                 Some(Self::north_up(west, south + rows as f64 * metres, metres))
@@ -50,22 +48,13 @@ impl GeoTransform {
     /// GDAL's six numbers, which count from the outer corner of the upper-left pixel.
     pub fn to_gdal(&self) -> [f64; 6] {
         let corner = self.map_from_pixel(-0.5, -0.5);
-        [
-            corner[0],
-            self.per_col[0],
-            self.per_row[0],
-            corner[1],
-            self.per_col[1],
-            self.per_row[1],
-        ]
+        let [x, y] = [0, 1].map(|axis| [corner[axis], self.per_col[axis], self.per_row[axis]]);
+        [x[0], x[1], x[2], y[0], y[1], y[2]]
     }
 
     /// Map coordinates of a pixel position.
     pub fn map_from_pixel(&self, col: f64, row: f64) -> [f64; 2] {
-        [
-            self.origin[0] + self.per_col[0] * col + self.per_row[0] * row,
-            self.origin[1] + self.per_col[1] * col + self.per_row[1] * row,
-        ]
+        [0, 1].map(|axis| self.origin[axis] + self.per_col[axis] * col + self.per_row[axis] * row)
     }
 
     /// Pixel position of map coordinates; not finite when the transform is singular.
@@ -80,10 +69,7 @@ impl GeoTransform {
 
     /// Length of a step of one column and of one row, in map units.
     pub fn pixel_size(&self) -> (f64, f64) {
-        (
-            self.per_col[0].hypot(self.per_col[1]),
-            self.per_row[0].hypot(self.per_row[1]),
-        )
+        [self.per_col, self.per_row].map(|[dx, dy]| dx.hypot(dy)).into()
     }
 
     /// Metres per map unit, eastward and northward, at the centre of a raster of `size` columns and rows: a degree of
@@ -160,16 +146,11 @@ impl GridSpec {
         }
         let snap_down = |value: f64| (value / size).floor() * size;
         let (left, top) = (snap_down(low[0]), (high[1] / size).ceil() * size);
-        let (width, height) = (
-            ((high[0] - left) / size).ceil().max(1.0),
-            ((top - low[1]) / size).ceil().max(1.0),
-        );
+        let [width, height] = [high[0] - left, top - low[1]].map(|length| (length / size).ceil().max(1.0));
         const MOST_PIXELS: f64 = 2e9;
         if !(width * height).is_finite() || width * height > MOST_PIXELS {
-            return Err(RasterError::Transform(
-                crs.name().to_owned(),
-                format!("a grid of {width} x {height} pixels of {gsd_m} m is too large"),
-            ));
+            let reason = format!("a grid of {width} x {height} pixels of {gsd_m} m is too large");
+            return Err(RasterError::Transform(crs.name().to_owned(), reason));
         }
         Ok(Self {
             width: width as usize,
@@ -214,18 +195,12 @@ impl EnuGrid {
         let nodes_for = |pixels: usize| pixels.div_ceil(SPACING_PX) + 1;
         let (columns, rows) = (nodes_for(grid.width), nodes_for(grid.height));
         let mut nodes = Vec::with_capacity(columns * rows);
-        for row in 0..rows {
-            for col in 0..columns {
-                let [x, y] = grid
-                    .transform
-                    .map_from_pixel((col * SPACING_PX) as f64, (row * SPACING_PX) as f64);
-                let (lon_deg, lat_deg) = transform.apply(x, y)?;
-                let enu = |height_m| {
-                    let enu = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, height_m));
-                    [enu.x, enu.y, enu.z]
-                };
-                nodes.push([enu(heights_m.0), enu(heights_m.1)]);
-            }
+        for node in 0..rows * columns {
+            let [col, row] = [node % columns, node / columns].map(|node| (node * SPACING_PX) as f64);
+            let [x, y] = grid.transform.map_from_pixel(col, row);
+            let (lon_deg, lat_deg) = transform.apply(x, y)?;
+            let enu = |height_m| frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, height_m)).into();
+            nodes.push([enu(heights_m.0), enu(heights_m.1)]);
         }
         Ok(Self {
             spacing: SPACING_PX,

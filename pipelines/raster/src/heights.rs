@@ -34,10 +34,8 @@ impl RasterFile {
     fn scale(&self, band: usize, unit_m: f64, values: &mut [f32]) {
         let stated = self.bands.get(band).map(|band| (band.scale, band.offset));
         let (scale, offset) = stated.unwrap_or_default();
-        let (scale, offset) = (
-            scale.filter(|&scale| scale != 0.0).unwrap_or(1.0),
-            offset.unwrap_or(0.0),
-        );
+        let scale = scale.filter(|&scale| scale != 0.0).unwrap_or(1.0);
+        let offset = offset.unwrap_or(0.0);
         if (scale, offset, unit_m) == (1.0, 0.0, 1.0) {
             return;
         }
@@ -69,10 +67,7 @@ impl GeoRaster {
 /// Metres per unit of length, by the names in use; `None` for any other text.
 fn metres_per_unit(unit: &str) -> Option<f64> {
     let lower = unit.to_lowercase();
-    let words: Vec<&str> = lower
-        .split(|c: char| !c.is_alphanumeric())
-        .filter(|word| !word.is_empty())
-        .collect();
+    let words: Vec<&str> = lower.split(|c: char| !c.is_alphanumeric()).collect();
     let has = |names: &[&str]| words.iter().any(|word| names.contains(word));
     let survey = has(&["us", "survey", "usft", "ftus", "sft"]);
     if has(&["ft", "feet", "foot", "usft", "ftus", "sft"]) {

@@ -67,21 +67,17 @@ pub(super) fn check(path: &Path, dataset: &Dataset) -> std::result::Result<(), R
         of_band(dataset, 0, |mask| Ok(mask.size())).map_err(|error| unreadable(path.to_owned(), error.to_string()))?;
     let beside = mask_path(path);
     let Some(size) = mask else {
+        let reason = "it is no mask of the image beside it; move it away, or make it again".to_owned();
         return match beside.is_file() && bounded::read_start(&beside, 1).len() == 1 {
-            true => Err(unreadable(
-                beside,
-                "it is no mask of the image beside it; move it away, or make it again".to_owned(),
-            )),
+            true => Err(unreadable(beside, reason)),
             false => Ok(()),
         };
     };
     let own = dataset.raster_size();
     if size != own {
         let reason = format!("a mask of {} x {} pixels for {} x {}", size.0, size.1, own.0, own.1);
-        return Err(unreadable(
-            if beside.is_file() { beside } else { path.to_owned() },
-            reason,
-        ));
+        let path = if beside.is_file() { beside } else { path.to_owned() };
+        return Err(unreadable(path, reason));
     }
     Ok(())
 }

@@ -3,9 +3,8 @@
 //! Images in sensor geometry have no map coordinates. The relation between their pixels is a scale and an offset along
 //! columns and rows, which the caller derives from their cameras.
 
-use super::RasterError;
-use super::Window;
 use super::file::{Composite, RasterFile};
+use super::{RasterError, Window};
 use heliosplat::Raster;
 use rayon::prelude::*;
 
@@ -80,10 +79,8 @@ impl Composite for Pansharpening {
             let ratio = if mean == 0.0 { 0.0 } else { pan / mean };
             all.iter().for_each(|band| resampled[band * plane + pixel] *= ratio);
         }
-        Ok(bands
-            .iter()
-            .flat_map(|band| resampled[band * plane..][..plane].to_vec())
-            .collect())
+        let plane_of = |band: &usize| &resampled[band * plane..][..plane];
+        Ok(bands.iter().flat_map(plane_of).copied().collect())
     }
 }
 

@@ -17,9 +17,8 @@ pub const UNKNOWN: Rgb<u8> = Rgb([40, 40, 48]);
 /// A full disk, a refused permission or another failure to write, as [`write_cog`](super::write_cog).
 pub fn write_png(path: &Path, picture: &RgbImage) -> Result<(), RasterError> {
     let mut bytes = Cursor::new(Vec::new());
-    picture
-        .write_to(&mut bytes, ImageFormat::Png)
-        .map_err(|error| RasterError::Write(path.to_owned(), error.to_string()))?;
+    let written = picture.write_to(&mut bytes, ImageFormat::Png);
+    written.map_err(|error| RasterError::Write(path.to_owned(), error.to_string()))?;
     write_atomically(path, bytes.get_ref())
 }
 

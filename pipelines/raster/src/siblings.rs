@@ -26,10 +26,8 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
     };
     // Opening a pipe would block for ever.
     if !known.is_file() {
-        return Err(RasterError::NotAnImage(
-            path.to_owned(),
-            "it is a folder, a device or a pipe".to_owned(),
-        ));
+        let reason = "it is a folder, a device or a pipe".to_owned();
+        return Err(RasterError::NotAnImage(path.to_owned(), reason));
     }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let Ok(entries) = fs::read_dir(folder.unwrap_or_else(|| Path::new("."))) else {
@@ -50,10 +48,8 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
             continue;
         };
         if !known.is_dir() && !known.is_file() {
-            return Err(unreadable(
-                &entry.path(),
-                "it is a device or a pipe; move it away from the images".to_owned(),
-            ));
+            let reason = "it is a device or a pipe; move it away from the images";
+            return Err(unreadable(&entry.path(), reason.to_owned()));
         }
         let opened = || File::open(entry.path()).ok();
         if name.ends_with(".msk") && known.is_file() && opened().and_then(hfa_leads_away).unwrap_or(false) {
@@ -61,10 +57,8 @@ pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
             return Err(unreadable(&entry.path(), reason.to_owned()));
         }
         if is_text && known.is_file() && known.len() > TEXT_MAX {
-            let reason = format!(
-                "it has {} bytes, more than the {TEXT_MAX} of a text beside an image",
-                known.len()
-            );
+            let bytes = known.len();
+            let reason = format!("it has {bytes} bytes, more than the {TEXT_MAX} of a text beside an image");
             return Err(unreadable(&entry.path(), reason));
         }
     }
@@ -100,9 +94,8 @@ fn hfa_leads_away(mut file: File) -> Option<bool> {
         return None;
     }
     let number = |bytes: &[u8], index: usize| -> Option<u32> {
-        Some(u32::from_le_bytes(
-            bytes.get(4 * index..4 * index + 4)?.try_into().ok()?,
-        ))
+        let bytes = bytes.get(4 * index..4 * index + 4)?;
+        Some(u32::from_le_bytes(bytes.try_into().ok()?))
     };
     // The tag is followed by the offset of the header: version, free list, root. Fields of a node: next, previous,
     // parent, first child, data, their length, name.

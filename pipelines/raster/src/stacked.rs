@@ -1,8 +1,7 @@
 //! An image whose bands are in several files, read as one.
 
-use super::RasterError;
-use super::Window;
 use super::file::{Composite, RasterFile};
+use super::{RasterError, Window};
 
 impl RasterFile {
     /// Files of equal size as one image with the bands of all; path and metadata are those of the first.
@@ -14,13 +13,11 @@ impl RasterFile {
             return Err(RasterError::Gdal("an image of no files".to_owned()));
         };
         if let Some(other) = files.iter().find(|file| file.size() != first.size()) {
-            return Err(RasterError::NotAnImage(
-                other.path().to_owned(),
-                format!(
-                    "its size is not that of {}, whose other bands it has",
-                    first.path().display()
-                ),
-            ));
+            let reason = format!(
+                "its size is not that of {}, whose other bands it has",
+                first.path().display()
+            );
+            return Err(RasterError::NotAnImage(other.path().to_owned(), reason));
         }
         let (path, size) = (first.path().to_owned(), first.size());
         let others = files[1..].iter().flat_map(Self::files).cloned().collect();
@@ -42,17 +39,13 @@ impl Composite for Stack {
 
     fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
         let mut values = Vec::with_capacity(window.width * window.height * bands.len());
-        for &band in bands {
-            let mut place = band;
-            for file in &self.0 {
-                match place.checked_sub(file.bands.len()) {
-                    Some(further) => place = further,
-                    None => {
-                        values.extend(file.read_part(window, &[place])?);
-                        break;
-                    }
-                }
-            }
+        let places = || {
+            self.0
+                .iter()
+                .flat_map(|file| (0..file.bands.len()).map(move |place| (file, place)))
+        };
+        for (file, place) in bands.iter().filter_map(|band| places().nth(*band)) {
+            values.extend(file.read_part(window, &[place])?);
         }
         Ok(values)
     }

@@ -5,7 +5,7 @@
 //! alike. The finished file is renamed to the target, which is therefore never incomplete.
 
 use super::temporary::{TemporaryFolder, target};
-use super::write::{NODATA, add_statistics, cog_options, describe};
+use super::write::{NODATA, add_statistics, cog_options, describe, with_nodata};
 use super::{ImageSpec, RasterError, messages};
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DriverManager};
@@ -60,8 +60,7 @@ impl StreamedCog {
         let size = (rows.width, rows.height);
         messages::collect_strictly(|| {
             for band in 0..rows.bands {
-                let known = |&value: &f32| if value.is_finite() { value } else { NODATA };
-                let values = rows.plane(band).iter().map(known).collect();
+                let values = rows.plane(band).iter().map(|&value| with_nodata(value)).collect();
                 let mut band = self.dataset.rasterband(band + 1)?;
                 band.write((0, row0 as isize), size, &mut Buffer::new(size, values))?;
             }

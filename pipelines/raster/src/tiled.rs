@@ -1,8 +1,7 @@
 //! An image of several tiles, read as one.
 
-use super::RasterError;
-use super::Window;
 use super::file::{Composite, RasterFile};
+use super::{BandInfo, RasterError, Window};
 use std::path::PathBuf;
 
 /// The last column and row that a tile may begin at: images have no more.
@@ -25,39 +24,29 @@ impl RasterFile {
     /// As [`RasterFile::open`], for any tile; [`RasterError::NotAnImage`] when tiles have different bands or begin
     /// beyond the largest column or row; `RasterError::Gdal` without tiles.
     pub fn tiled(tiles: &[Tile]) -> Result<Self, RasterError> {
-        let files = tiles
-            .iter()
-            .map(|tile| Self::open(&tile.path))
-            .collect::<Result<Vec<_>, _>>()?;
+        let files = tiles.iter().map(|tile| Self::open(&tile.path));
+        let files = files.collect::<Result<Vec<_>, _>>()?;
         let Some(first) = files.first() else {
             return Err(RasterError::Gdal("an image of no tiles".to_owned()));
         };
         let kinds = |file: &Self| -> Vec<(String, Option<u64>)> {
-            let bands = file.bands.iter();
-            bands
-                .map(|band| (band.data_type.clone(), band.nodata.map(f64::to_bits)))
-                .collect()
+            let kind = |band: &BandInfo| (band.data_type.clone(), band.nodata.map(f64::to_bits));
+            file.bands.iter().map(kind).collect()
         };
         if let Some(other) = files.iter().find(|file| kinds(file) != kinds(first)) {
-            return Err(RasterError::NotAnImage(
-                other.path().to_owned(),
-                format!(
-                    "its bands are not those of {}, of which it is a tile",
-                    first.path().display()
-                ),
-            ));
+            let reason = format!(
+                "its bands are not those of {}, of which it is a tile",
+                first.path().display()
+            );
+            return Err(RasterError::NotAnImage(other.path().to_owned(), reason));
         }
         if let Some(far) = tiles.iter().find(|tile| tile.first.iter().any(|&at| at > FARTHEST)) {
-            return Err(RasterError::NotAnImage(
-                far.path.clone(),
-                format!("as a tile it begins at column and row {:?}", far.first),
-            ));
+            let reason = format!("as a tile it begins at column and row {:?}", far.first);
+            return Err(RasterError::NotAnImage(far.path.clone(), reason));
         }
         let end = |axis: usize| {
-            let ends = tiles.iter().zip(&files).map(|(tile, file)| {
-                let (width, height) = file.size();
-                tile.first[axis] + [width, height][axis]
-            });
+            let ends = tiles.iter().zip(&files);
+            let ends = ends.map(|(tile, file)| tile.first[axis] + <[usize; 2]>::from(file.size())[axis]);
             ends.max().unwrap_or(0)
         };
         let (path, bands, size) = (first.path().to_owned(), first.bands.clone(), (end(0), end(1)));

@@ -12,18 +12,6 @@ pub fn escaped(text: &str) -> String {
         .replace('"', "&quot;")
 }
 
-fn colour_name(colour: Colour) -> &'static str {
-    match colour {
-        Colour::Grey => "Gray",
-        Colour::Red => "Red",
-        Colour::Green => "Green",
-        Colour::Blue => "Blue",
-        Colour::Alpha => "Alpha",
-        Colour::Palette => "Palette",
-        Colour::Undefined => "Undefined",
-    }
-}
-
 /// File of a part of a raster.
 pub struct Part {
     /// Path of the file, relative to the virtual raster.
@@ -50,11 +38,8 @@ pub fn virtual_raster(grid: &GridSpec, bands: &[BandInfo], metadata: &[(String, 
     }
     let _ = writeln!(text, "  </Metadata>");
     for (band, place) in bands.iter().zip(1..) {
-        let _ = writeln!(
-            text,
-            "  <VRTRasterBand dataType=\"{}\" band=\"{place}\">",
-            escaped(&band.data_type)
-        );
+        let data_type = escaped(&band.data_type);
+        let _ = writeln!(text, "  <VRTRasterBand dataType=\"{data_type}\" band=\"{place}\">");
         let _ = writeln!(text, "    <Description>{}</Description>", escaped(&band.description));
         if !band.unit.is_empty() {
             let _ = writeln!(text, "    <UnitType>{}</UnitType>", escaped(&band.unit));
@@ -62,7 +47,11 @@ pub fn virtual_raster(grid: &GridSpec, bands: &[BandInfo], metadata: &[(String, 
         if let Some(nodata) = band.nodata {
             let _ = writeln!(text, "    <NoDataValue>{nodata}</NoDataValue>");
         }
-        let _ = writeln!(text, "    <ColorInterp>{}</ColorInterp>", colour_name(band.colour));
+        let colour = match band.colour {
+            Colour::Grey => "Gray".to_owned(),
+            other => format!("{other:?}"),
+        };
+        let _ = writeln!(text, "    <ColorInterp>{colour}</ColorInterp>");
         for Part { path, at, size } in parts {
             let (width, height) = size;
             let _ = writeln!(
@@ -72,7 +61,7 @@ pub fn virtual_raster(grid: &GridSpec, bands: &[BandInfo], metadata: &[(String, 
                  <SrcRect xOff=\"0\" yOff=\"0\" xSize=\"{width}\" ySize=\"{height}\" />\n      \
                  <DstRect xOff=\"{}\" yOff=\"{}\" xSize=\"{width}\" ySize=\"{height}\" />\n    </SimpleSource>",
                 escaped(path),
-                escaped(&band.data_type),
+                data_type,
                 at[0],
                 at[1],
             );

@@ -82,12 +82,8 @@ impl Bytes {
 /// # Errors
 /// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`]; nothing is left behind.
 pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
-    write_copy(
-        path,
-        &in_memory(path, spec, SampleType::F32)?,
-        "COG",
-        &cog_options("AVERAGE"),
-    )
+    let dataset = in_memory(path, spec, SampleType::F32)?;
+    write_copy(path, &dataset, "COG", &cog_options("AVERAGE"))
 }
 
 /// Writes an int32 cloud-optimised GeoTIFF of the values after `convert`; 0, `NaN` and infinities become 0, its nodata.
@@ -96,14 +92,9 @@ pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`].
 pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) -> i32) -> Result<(), RasterError> {
-    let converted = |_, value: f32| {
-        if value.is_finite() && value != 0.0 {
-            convert(value)
-        } else {
-            0
-        }
-    };
-    let dataset = build(spec, converted, Some(0.0)).map_err(|reason| RasterError::Write(path.to_owned(), reason))?;
+    let is_known = |value: &f32| value.is_finite() && *value != 0.0;
+    let converted = |value: f32| Some(value).filter(is_known).map_or(0, &convert);
+    let dataset = build(path, spec, converted, Some(0.0))?;
     write_copy(path, &dataset, "COG", &cog_options("NEAREST"))
 }
 
@@ -113,13 +104,10 @@ pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) ->
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`].
 pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(), RasterError> {
-    let (nodata, resampling) = match bytes {
-        Bytes::Mask => (bytes.nodata(), "MODE"),
-        Bytes::Shades => (bytes.nodata(), "AVERAGE"),
-    };
-    let convert = |_, value: f32| if value.is_nan() { nodata } else { value.round() as u8 };
-    let dataset =
-        build(spec, convert, Some(f32::from(nodata))).map_err(|reason| RasterError::Write(path.to_owned(), reason))?;
+    let nodata = bytes.nodata();
+    let resampling = if bytes == Bytes::Mask { "MODE" } else { "AVERAGE" };
+    let convert = |value: f32| if value.is_nan() { nodata } else { value.round() as u8 };
+    let dataset = build(path, spec, convert, Some(f32::from(nodata)))?;
     write_copy(path, &dataset, "COG", &cog_options(resampling))
 }
 
@@ -142,12 +130,8 @@ pub(super) fn cog_options(resampling: &str) -> [String; 6] {
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`].
 pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<(), RasterError> {
-    let predictor = if sample == SampleType::F32 {
-        "PREDICTOR=3"
-    } else {
-        "PREDICTOR=2"
-    };
-    let options = ["COMPRESS=DEFLATE", predictor, "INTERLEAVE=BAND", "BIGTIFF=IF_SAFER"];
+    let predictor = format!("PREDICTOR={}", if sample == SampleType::F32 { 3 } else { 2 });
+    let options = ["COMPRESS=DEFLATE", &predictor, "INTERLEAVE=BAND", "BIGTIFF=IF_SAFER"];
     let dataset = in_memory(path, spec, sample)?;
     write_copy(path, &dataset, "GTiff", &options)
 }
@@ -162,9 +146,7 @@ pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> R
     let source = super::RasterFile::open(image)?;
     let copy = messages::collect_strictly(|| {
         let driver = drivers::memory()?;
-        let mut copy = source
-            .dataset()
-            .create_copy(&driver, "", &RasterCreationOptions::new())?;
+        let mut copy = (source.dataset()).create_copy(&driver, "", &RasterCreationOptions::new())?;
         for (key, value) in rpc {
             copy.set_metadata_item(key, value, "RPC")?;
         }
@@ -175,24 +157,26 @@ pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> R
 }
 
 fn in_memory(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<Dataset, RasterError> {
-    let built = match sample {
-        SampleType::F32 => build(
-            spec,
-            |_, value| if value.is_finite() { value } else { NODATA },
-            Some(NODATA),
-        ),
+    match sample {
+        SampleType::F32 => build(path, spec, with_nodata, Some(NODATA)),
         // `as` saturates and turns NaN into 0.
-        SampleType::U8 => build(spec, |_, value| value.round() as u8, None),
-        SampleType::U16 => build(spec, |_, value| value.round() as u16, None),
-    };
-    built.map_err(|reason| RasterError::Write(path.to_owned(), reason))
+        SampleType::U8 => build(path, spec, |value| value.round() as u8, None),
+        SampleType::U16 => build(path, spec, |value| value.round() as u16, None),
+    }
 }
 
+/// A value in a float file.
+pub(super) fn with_nodata(value: f32) -> f32 {
+    if value.is_finite() { value } else { NODATA }
+}
+
+/// A dataset of the values after `convert`, in memory; `path` is for the error.
 fn build<T: GdalType + Copy>(
+    path: &Path,
     spec: &ImageSpec,
-    convert: impl Fn(usize, f32) -> T,
+    convert: impl Fn(f32) -> T,
     nodata: Option<f32>,
-) -> Result<Dataset, String> {
+) -> Result<Dataset, RasterError> {
     let raster = spec.raster;
     let size = (raster.width, raster.height);
     messages::collect_strictly(|| {
@@ -201,11 +185,12 @@ fn build<T: GdalType + Copy>(
         describe(&mut dataset, spec, nodata)?;
         for index in 0..raster.bands {
             let mut band = dataset.rasterband(index + 1)?;
-            let values = raster.plane(index).iter().map(|&value| convert(index, value)).collect();
+            let values = raster.plane(index).iter().map(|&value| convert(value)).collect();
             band.write((0, 0), size, &mut Buffer::new(size, values))?;
         }
         Ok(dataset)
     })
+    .map_err(|reason| RasterError::Write(path.to_owned(), reason))
 }
 
 /// Sets georeference, metadata, descriptions, units and nodata of a dataset.
@@ -251,13 +236,13 @@ pub(super) fn add_statistics(dataset: &Dataset) {
 /// The colour interpretation of a band by its description: programs show red, green and blue as such, and one band
 /// alone in grey.
 fn interpretation(description: Option<&&str>, bands: usize) -> Option<ColorInterpretation> {
-    match description.copied() {
-        Some("red") => Some(ColorInterpretation::RedBand),
-        Some("green") => Some(ColorInterpretation::GreenBand),
-        Some("blue") => Some(ColorInterpretation::BlueBand),
-        _ if bands == 1 => Some(ColorInterpretation::GrayIndex),
-        _ => None,
-    }
+    Some(match description.copied() {
+        Some("red") => ColorInterpretation::RedBand,
+        Some("green") => ColorInterpretation::GreenBand,
+        Some("blue") => ColorInterpretation::BlueBand,
+        _ if bands == 1 => ColorInterpretation::GrayIndex,
+        _ => return None,
+    })
 }
 
 /// Sets the unit of a band; the crate gdal has no setter.

@@ -4,9 +4,10 @@ use super::error::SatelliteError;
 use heliosplat::Raster;
 use heliosplat_grid::statistics::upper_quantile;
 use heliosplat_products::change::day_of;
+use heliosplat_raster::Window;
 use heliosplat_rpc::LocalFrame;
 use heliosplat_rpc::parallax::LEAST_BASE_TO_HEIGHT;
-use heliosplat_scene::crop::{self, Crop};
+use heliosplat_scene::crop;
 use heliosplat_scene::{Area, ImageSun, Scene, SceneImage};
 use heliosplat_stereo::{
     MatchingFacts, MatchingParameters, PlaneSweepRequest, SearchVolume, SweepView, ViewGeometry, Widest, widest_base,
@@ -20,7 +21,7 @@ pub struct GroundViews<'a> {
     /// Images that show the ground.
     pub images: Vec<&'a SceneImage>,
     /// Crop of each image that shows the ground.
-    pub crops: Vec<Crop>,
+    pub crops: Vec<Window>,
     /// Ground, metres of the scene's frame.
     pub area: Area,
     /// Lowest and highest altitude, metres of the scene's frame.
@@ -51,8 +52,8 @@ impl<'a> GroundViews<'a> {
         images: impl Iterator<Item = &'a SceneImage>,
     ) -> Result<Self, SatelliteError> {
         let up_m = crop::altitude_range(scene);
-        let (images, crops): (Vec<&SceneImage>, Vec<Crop>) = images
-            .filter_map(|image| Some((image, Crop::of(image, &area, up_m)?)))
+        let (images, crops): (Vec<&SceneImage>, Vec<Window>) = images
+            .filter_map(|image| Some((image, crop::window_of(image, &area, up_m)?)))
             .unzip();
         if images.len() < 2 {
             return Err(SatelliteError::too_few_views(images.len()));

@@ -12,7 +12,7 @@ use heliosplat::gaussians::Table;
 use heliosplat_fitting::run_folder::{Input, RUN, RunError, parsed, read};
 use heliosplat_fitting::settings::run_of;
 use heliosplat_products::model::{self, ModelFile, ModelImage};
-use heliosplat_scene::crop::{self, Crop};
+use heliosplat_scene::crop;
 use heliosplat_scene::{AreaRequest, Index, KeptCut, Scene, Split};
 use std::path::{Path, PathBuf};
 
@@ -82,7 +82,7 @@ pub fn model_images(scene: &Scene, fitted: &Fitted, margin_m: f64) -> Vec<ModelI
                     .iter()
                     .position(|name| appearance.is_none() && date_of(name) == date_of(&image.name)),
                 map: image.pinhole.map,
-                crop: Crop::of(image, &area, up_m)?,
+                crop: crop::window_of(image, &area, up_m)?,
                 shift_px: appearance.map_or([0.0; 2], |a| fitted.found.shifts_px[a]),
                 known: appearance.and_then(|a| fitted.known[a].clone()),
                 sun: sun.position,

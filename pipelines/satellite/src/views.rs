@@ -3,7 +3,8 @@
 use crate::clouds;
 use heliosplat::light::Light;
 use heliosplat::model::View;
-use heliosplat_scene::crop::{Crop, camera, direction};
+use heliosplat_raster::Window;
+use heliosplat_scene::crop::{camera, direction};
 use heliosplat_scene::{ImageSun, SceneImage, saturation};
 use std::sync::Arc;
 
@@ -13,7 +14,7 @@ use std::sync::Arc;
 pub(crate) fn view(
     image: &SceneImage,
     sun: &ImageSun,
-    crop: &Crop,
+    crop: &Window,
     clouds: &[bool],
     shift_px: [f32; 2],
     appearance: usize,

@@ -2,7 +2,7 @@
 
 use super::{Area, SceneError};
 use heliosplat_delivery::IndexImage;
-use heliosplat_raster::{Crs, CrsTransform, Window};
+use heliosplat_raster::{Crs, CrsTransform, RasterError, Window};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 use nalgebra::Vector3;
 
@@ -72,13 +72,16 @@ impl AreaRequest {
         }
     }
 
+    /// Transformation of its coordinates to longitude and latitude; `None` if they are that.
+    fn transform(&self) -> Result<Option<CrsTransform>, RasterError> {
+        let to_lon_lat = |crs: &String| CrsTransform::to_lon_lat(&Crs::from_definition(crs)?);
+        self.crs.as_ref().map(to_lon_lat).transpose()
+    }
+
     /// Longitudes and latitudes of points along the edges, degrees.
     fn outline(&self) -> Result<Vec<[f64; 2]>, SceneError> {
         let [west, south, east, north] = self.unwrapped();
-        let transform = match &self.crs {
-            Some(crs) => Some(CrsTransform::to_lon_lat(&Crs::from_definition(crs)?)?),
-            None => None,
-        };
+        let transform = self.transform()?;
         let mut points = Vec::with_capacity(4 * POINTS_PER_EDGE);
         for step in 0..POINTS_PER_EDGE {
             let t = step as f64 / POINTS_PER_EDGE as f64;
@@ -99,8 +102,8 @@ impl AreaRequest {
     pub(super) fn place(&self, height_m: f64) -> Result<GeoPoint, SceneError> {
         let [west, south, east, north] = self.unwrapped();
         let (x, y) = (0.5 * (west + east), 0.5 * (south + north));
-        let (lon_deg, lat_deg) = match &self.crs {
-            Some(crs) => CrsTransform::to_lon_lat(&Crs::from_definition(crs)?)?.apply(x, y)?,
+        let (lon_deg, lat_deg) = match self.transform()? {
+            Some(transform) => transform.apply(x, y)?,
             None => (if x > 180.0 { x - 360.0 } else { x }, y),
         };
         Ok(GeoPoint::new(lon_deg, lat_deg, height_m))
@@ -108,39 +111,44 @@ impl AreaRequest {
 
     /// Bounding rectangle in a local frame, metres.
     pub(super) fn area(&self, frame: &LocalFrame) -> Result<Area, SceneError> {
-        let mut area = Area {
-            west_m: f64::INFINITY,
-            south_m: f64::INFINITY,
-            east_m: f64::NEG_INFINITY,
-            north_m: f64::NEG_INFINITY,
-        };
-        for [lon_deg, lat_deg] in self.outline()? {
+        let point = |[lon_deg, lat_deg]: [f64; 2]| {
             let enu = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m));
-            area.west_m = area.west_m.min(enu.x);
-            area.east_m = area.east_m.max(enu.x);
-            area.south_m = area.south_m.min(enu.y);
-            area.north_m = area.north_m.max(enu.y);
-        }
-        Ok(area)
+            [enu.x, enu.y]
+        };
+        Ok(Area::covering(self.outline()?.into_iter().map(point)))
     }
 }
 
 impl std::fmt::Display for Area {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        let Self {
-            west_m,
-            south_m,
-            east_m,
-            north_m,
-        } = self;
+        let [west, south, east, north] = [self.west_m, self.south_m, self.east_m, self.north_m];
         write!(
             f,
-            "{west_m:.0} to {east_m:.0} m east and {south_m:.0} to {north_m:.0} m north of its middle"
+            "{west:.0} to {east:.0} m east and {south:.0} to {north:.0} m north of its middle"
         )
     }
 }
 
+/// Lowest and highest of each coordinate of points.
+pub(super) fn bounds(points: impl IntoIterator<Item = [f64; 2]>) -> [[f64; 2]; 2] {
+    let start = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
+    points.into_iter().fold(start, |[low, high], [x, y]| {
+        [[low[0].min(x), low[1].min(y)], [high[0].max(x), high[1].max(y)]]
+    })
+}
+
 impl Area {
+    /// Bounding rectangle of points (metres east and north).
+    pub(super) fn covering(points: impl IntoIterator<Item = [f64; 2]>) -> Self {
+        let [[west_m, south_m], [east_m, north_m]] = bounds(points);
+        Self {
+            west_m,
+            south_m,
+            east_m,
+            north_m,
+        }
+    }
+
     /// Intersection of two areas; `None` where it is less than a metre wide.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         let shared = Self {
@@ -162,27 +170,31 @@ pub(super) fn window_over(
     altitude_range_m: (f64, f64),
 ) -> Option<Window> {
     let origin_m = frame.origin.height_m;
-    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    let mut places = Vec::with_capacity(8);
     for x in [area.west_m - MARGIN_M, area.east_m + MARGIN_M] {
         for y in [area.south_m - MARGIN_M, area.north_m + MARGIN_M] {
             for height_m in [altitude_range_m.0, altitude_range_m.1] {
-                let place = frame.geo_from_enu(Vector3::new(x, y, height_m - origin_m));
-                let at = image.rpc.project(place);
-                for (axis, v) in [at.col, at.row].into_iter().enumerate() {
-                    low[axis] = low[axis].min(v);
-                    high[axis] = high[axis].max(v);
-                }
+                let at = image
+                    .rpc
+                    .project(frame.geo_from_enu(Vector3::new(x, y, height_m - origin_m)));
+                places.push([at.col, at.row]);
             }
         }
     }
-    let (width, height) = image.size;
+    window_around(places, image.size)
+}
+
+/// Window of an image of `size` around places (columns, rows), with a margin; `None` where too little of the image is
+/// left.
+pub(super) fn window_around(places: Vec<[f64; 2]>, size: (usize, usize)) -> Option<Window> {
+    let [low, high] = bounds(places);
     let along = |axis: usize, size: usize| {
         // `as` saturates: a window that begins before the image is clipped at the first pixel.
         let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
         let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
         (first, end.saturating_sub(first))
     };
-    let ((col0, width), (row0, height)) = (along(0, width), along(1, height));
+    let ((col0, width), (row0, height)) = (along(0, size.0), along(1, size.1));
     (width >= LEAST_PX && height >= LEAST_PX).then_some(Window {
         col0,
         row0,

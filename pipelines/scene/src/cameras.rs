@@ -1,9 +1,10 @@
 //! Training images of a scene with unknown altitude range: their cameras, the ground that two of them may share, and
 //! downscaled pixels, which suffice to estimate the altitudes of the surface.
 
+use super::area::window_around;
 use super::cut::{footprint_of, gsd_m, localise, whole};
 use super::footprint::Footprint;
-use super::{AltitudeRange, IngestOptions, SceneError};
+use super::{AltitudeRange, Area, IngestOptions, SceneError};
 use heliosplat::Raster;
 use heliosplat_delivery::{Index, IndexImage};
 use heliosplat_raster::Window;
@@ -12,10 +13,6 @@ use nalgebra::{Vector2, Vector3};
 
 /// Number of altitudes at which the shared ground of two images is computed.
 const ALTITUDES: usize = 33;
-/// Margin around the shared ground that is read with it, pixels.
-const MARGIN_PX: f64 = 16.0;
-/// Least number of columns or rows for a match.
-const LEAST_PX: usize = 32;
 
 /// Training images of an index, with their cameras.
 pub struct SceneCameras<'a> {
@@ -40,23 +37,29 @@ impl<'a> SceneCameras<'a> {
             return Err(SceneError::TooFewViews(index.source.clone(), 0));
         };
         let middle_m = 0.5 * (range.low_m + range.high_m);
+        let (width, height) = first.size;
         let origin = match &options.area {
             Some(wanted) => wanted.place(middle_m)?,
-            None => {
-                let (width, height) = first.size;
-                localise(first, width as f64 / 2.0, height as f64 / 2.0, middle_m)?
-            }
+            None => localise(first, width as f64 / 2.0, height as f64 / 2.0, middle_m)?,
         };
         let frame = LocalFrame::new(origin);
         let wanted = options.area.as_ref().map(|wanted| wanted.area(&frame)).transpose()?;
-        let wanted = wanted.map(|a| {
-            Footprint::new(vec![
-                [a.west_m, a.south_m],
-                [a.east_m, a.south_m],
-                [a.east_m, a.north_m],
-                [a.west_m, a.north_m],
-            ])
-        });
+        let wanted = wanted.map(
+            |Area {
+                 west_m,
+                 south_m,
+                 east_m,
+                 north_m,
+             }| {
+                let corners = [
+                    (west_m, south_m),
+                    (east_m, south_m),
+                    (east_m, north_m),
+                    (west_m, north_m),
+                ];
+                Footprint::new(corners.map(|(x, y)| [x, y]).to_vec())
+            },
+        );
         Ok(Self {
             images,
             frame,
@@ -121,7 +124,7 @@ impl<'a> SceneCameras<'a> {
         (low_m, high_m): (f64, f64),
     ) -> Result<Option<[Window; 2]>, SceneError> {
         let pair = [self.images[first], self.images[second]];
-        let mut limits = [([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]); 2];
+        let mut places = [Vec::new(), Vec::new()];
         for step in 0..ALTITUDES {
             let altitude_m = low_m + (high_m - low_m) * step as f64 / (ALTITUDES - 1) as f64;
             let footprint = |image: &IndexImage| footprint_of(image, &self.frame, altitude_m);
@@ -132,34 +135,17 @@ impl<'a> SceneCameras<'a> {
             for &[east_m, north_m] in shared.corners() {
                 let up_m = altitude_m - self.frame.origin.height_m;
                 let place = self.frame.geo_from_enu(Vector3::new(east_m, north_m, up_m));
-                for (image, (low, high)) in pair.iter().zip(&mut limits) {
+                for (image, places) in pair.iter().zip(&mut places) {
                     let at = image.rpc.project(place);
-                    for (axis, value) in [at.col, at.row].into_iter().enumerate() {
-                        low[axis] = low[axis].min(value);
-                        high[axis] = high[axis].max(value);
-                    }
+                    places.push([at.col, at.row]);
                 }
             }
         }
-        let window = |index: usize| {
-            let (low, high): ([f64; 2], [f64; 2]) = limits[index];
-            let (width, height) = pair[index].size;
-            let along = |axis: usize, size: usize| {
-                // `as` saturates: a window that begins before the image is clipped at the first pixel.
-                let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
-                let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
-                (first, end.saturating_sub(first))
-            };
-            let ((col0, width), (row0, height)) = (along(0, width), along(1, height));
-            let window = Window {
-                col0,
-                row0,
-                width,
-                height,
-            };
-            (width >= LEAST_PX && height >= LEAST_PX).then_some(window)
-        };
-        Ok(window(0).zip(window(1)).map(|(a, b)| [a, b]))
+        let [first_places, second_places] = places;
+        let window = window_around(first_places, pair[0].size);
+        Ok(window
+            .zip(window_around(second_places, pair[1].size))
+            .map(|(a, b)| [a, b]))
     }
 
     /// Mean of the bands of a window of an image, averaged down by `factor` along each axis; `NaN` for pixels without

@@ -1,100 +1,47 @@
 //! View of an image: the crop that shows an area, its camera, its sun and its pass.
 
+use crate::area::bounds;
 use crate::{Area, ImageSun, Scene, SceneImage};
 use glam::{DVec3, Vec3};
-use heliosplat::{ProjectiveCamera, Raster};
+use heliosplat::ProjectiveCamera;
+use heliosplat_raster::Window;
 use heliosplat_rpc::ProjectiveMap;
 use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
+use nalgebra::Vector3;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 /// Margin around the area, pixels: losses with a window, and splats across the edge, need the surroundings.
 const MARGIN_PX: f64 = 8.0;
 
-/// Rectangle of an image, pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Crop {
-    /// First column.
-    pub col0: usize,
-    /// First row.
-    pub row0: usize,
-    /// Number of columns.
-    pub width: usize,
-    /// Number of rows.
-    pub height: usize,
-}
-
-impl Crop {
-    /// Smallest rectangle of an image, with a margin, that shows all of `area` between two altitudes (metres of the
-    /// scene's frame); `None` where the image shows none of it.
-    pub fn of(image: &SceneImage, area: &Area, up_m: (f64, f64)) -> Option<Self> {
-        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for x in [area.west_m, area.east_m] {
-            for y in [area.south_m, area.north_m] {
-                for z in [up_m.0, up_m.1] {
-                    let at = image.pinhole.map.project(nalgebra::Vector3::new(x, y, z));
-                    for axis in 0..2 {
-                        low[axis] = low[axis].min(at[axis]);
-                        high[axis] = high[axis].max(at[axis]);
-                    }
-                }
-            }
-        }
-        let limits = [image.pixels.width as f64, image.pixels.height as f64];
-        let first = [0, 1].map(|a| (low[a] - MARGIN_PX).floor().max(0.0));
-        let last = [0, 1].map(|a| (high[a] + MARGIN_PX).ceil().min(limits[a] - 1.0));
-        (last[0] - first[0] >= 16.0 && last[1] - first[1] >= 16.0).then(|| Self {
-            col0: first[0] as usize,
-            row0: first[1] as usize,
-            width: (last[0] - first[0]) as usize + 1,
-            height: (last[1] - first[1]) as usize + 1,
-        })
-    }
-
-    /// Pixels of the rectangle; `NaN` outside of the raster.
-    pub fn cut(&self, raster: &Raster) -> Raster {
-        let mut out = Raster::filled(self.width, self.height, raster.bands, f32::NAN);
-        for band in 0..raster.bands {
-            let width = self.width.min(raster.width.saturating_sub(self.col0));
-            for row in 0..self.height.min(raster.height.saturating_sub(self.row0)) {
-                let from = (band * raster.height + self.row0 + row) * raster.width + self.col0;
-                let to = (band * self.height + row) * self.width;
-                out.values[to..to + width].copy_from_slice(&raster.values[from..from + width]);
-            }
-        }
-        out
-    }
-
-    /// Pixels of the rectangle, without a copy where it is the whole raster.
-    pub fn shared(&self, raster: &Arc<Raster>) -> Arc<Raster> {
-        match *self == Self::whole(raster) {
-            true => raster.clone(),
-            false => self.cut(raster).into(),
+/// Smallest window of an image, with a margin, that shows all of `area` between two altitudes (metres of the scene's
+/// frame); `None` where the image shows none of it.
+pub fn window_of(image: &SceneImage, area: &Area, up_m: (f64, f64)) -> Option<Window> {
+    let mut places = Vec::with_capacity(8);
+    for x in [area.west_m, area.east_m] {
+        for y in [area.south_m, area.north_m] {
+            places.extend([up_m.0, up_m.1].map(|z| image.pinhole.map.project(Vector3::new(x, y, z))));
         }
     }
-
-    fn whole(raster: &Raster) -> Self {
-        Self {
-            col0: 0,
-            row0: 0,
-            width: raster.width,
-            height: raster.height,
-        }
-    }
+    let [low, high] = bounds(places);
+    let limits = [image.pixels.width as f64, image.pixels.height as f64];
+    let first = [0, 1].map(|a| (low[a] - MARGIN_PX).floor().max(0.0));
+    let last = [0, 1].map(|a| (high[a] + MARGIN_PX).ceil().min(limits[a] - 1.0));
+    (last[0] - first[0] >= 16.0 && last[1] - first[1] >= 16.0).then(|| Window {
+        col0: first[0] as usize,
+        row0: first[1] as usize,
+        width: (last[0] - first[0]) as usize + 1,
+        height: (last[1] - first[1]) as usize + 1,
+    })
 }
 
 /// Camera of the engine for a rectangle of the image of `map`, with projections moved by `shift_px` (columns, rows;
 /// pixels).
-pub fn camera(map: &ProjectiveMap, crop: &Crop, shift_px: [f32; 2]) -> ProjectiveCamera {
+pub fn camera(map: &ProjectiveMap, crop: &Window, shift_px: [f32; 2]) -> ProjectiveCamera {
     let moved = |row: [f64; 4], by: f64| {
         // (u·p + u0)/(1 + w·p) + by = ((u + by·w)·p + u0 + by)/(1 + w·p)
-        [
-            row[0] + by * map.w[0],
-            row[1] + by * map.w[1],
-            row[2] + by * map.w[2],
-            row[3] + by,
-        ]
+        let [x, y, z] = [0, 1, 2].map(|axis| row[axis] + by * map.w[axis]);
+        [x, y, z, row[3] + by]
     };
     let u = moved(map.u, f64::from(shift_px[0]) - crop.col0 as f64);
     let v = moved(map.v, f64::from(shift_px[1]) - crop.row0 as f64);
@@ -130,11 +77,11 @@ pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
 
 /// Number of the pass of each image, as [`date_groups`], from times and suns.
 pub fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> Vec<u32> {
-    let mut in_time: Vec<(Timestamp, usize)> = lights
+    let in_time = lights
         .iter()
-        .enumerate()
-        .filter_map(|(place, light)| Some((light.0?, place)))
-        .collect();
+        .zip(0..)
+        .filter_map(|(light, place)| Some((light.0?, place)));
+    let mut in_time: Vec<(Timestamp, usize)> = in_time.collect();
     in_time.sort();
     // First image of each image's group, as a provisional name of the group.
     let mut first: Vec<usize> = (0..lights.len()).collect();
@@ -158,13 +105,11 @@ pub fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> 
         first[place] = (0..place).find(alike).unwrap_or(place);
     }
     let mut known = BTreeMap::new();
-    first
-        .into_iter()
-        .map(|of| {
-            let next = known.len() as u32;
-            *known.entry(of).or_insert(next)
-        })
-        .collect()
+    let number = |of| {
+        let next = known.len() as u32;
+        *known.entry(of).or_insert(next)
+    };
+    first.into_iter().map(number).collect()
 }
 
 /// Lowest and highest altitude of a scene relative to the origin of its frame, metres.
@@ -213,20 +158,6 @@ mod tests {
     fn a_group_does_not_grow_from_image_to_image() {
         let minutes = ["2016-04-23T10:08:00Z", "2016-04-23T10:00:00Z", "2016-04-23T10:04:00Z"];
         assert_eq!(groups(&minutes), [0, 1, 1]);
-    }
-
-    #[test]
-    fn a_crop_beyond_its_raster_is_unknown_there() {
-        let raster = Raster::filled(4, 3, 2, 1.0);
-        let crop = Crop {
-            col0: 3,
-            row0: 2,
-            width: 2,
-            height: 2,
-        };
-        let cut = crop.cut(&raster);
-        let known: Vec<bool> = cut.values.iter().map(|value| value.is_finite()).collect();
-        assert_eq!(known, [true, false, false, false, true, false, false, false]);
     }
 
     #[test]

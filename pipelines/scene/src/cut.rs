@@ -67,16 +67,14 @@ impl Cut {
         let altitude = index.altitudes(options.altitude_range_m, options.altitude_from_ties_m, warnings)?;
         let limits_m = altitude.limits_m();
         let count = index.training().count();
-        let all: Vec<Placed> = (index.images.iter().enumerate())
-            .map(|(at, image)| Placed {
-                at,
-                image,
-                window: whole(image),
-            })
-            .collect();
+        let placed = |(at, image)| Placed {
+            at,
+            image,
+            window: whole(image),
+        };
+        let all: Vec<Placed> = index.images.iter().enumerate().map(placed).collect();
         let Some(first) = all.first().filter(|_| count >= 2) else {
-            let path = index.source.clone();
-            return Err(SceneError::TooFewViews(path, count));
+            return Err(SceneError::TooFewViews(index.source.clone(), count));
         };
         let altitude_m = (limits_m.0 + limits_m.1) / 2.0;
         // Any frame near the scene suffices to find the centre.
@@ -151,12 +149,8 @@ impl Cut {
     /// [`SceneError::NotCovered`] where fewer than two training images show it.
     pub fn part(&self, index: &Index, part: &Area) -> Result<Self, SceneError> {
         let shown = self.training().filter_map(|placed| {
-            let window = window_over(
-                index.images.get(placed.image)?,
-                &self.frame,
-                part,
-                self.altitude.limits_m(),
-            )?;
+            let image = index.images.get(placed.image)?;
+            let window = window_over(image, &self.frame, part, self.altitude.limits_m())?;
             Some(CutImage { window, ..*placed })
         });
         let cut = Self {
@@ -185,13 +179,7 @@ impl Cut {
 
 /// Window of a whole image.
 pub(super) fn whole(image: &IndexImage) -> Window {
-    let (width, height) = image.size;
-    Window {
-        col0: 0,
-        row0: 0,
-        width,
-        height,
-    }
+    Window::whole(image.size)
 }
 
 /// Number of pixels of a window.
@@ -209,11 +197,7 @@ pub(super) fn localise(image: &IndexImage, col: f64, row: f64, height_m: f64) ->
 
 /// Error for a camera that does not work over its image.
 pub(super) fn camera_fault(image: &IndexImage, height_m: f64, source: heliosplat_rpc::RpcError) -> SceneError {
-    SceneError::Camera {
-        path: image.path.clone(),
-        height_m,
-        source,
-    }
+    SceneError::Camera(image.path.clone(), height_m, source)
 }
 
 /// Outer corners of an image on the ground, metres of a local frame.
@@ -225,19 +209,15 @@ pub(super) fn footprint_of(image: &IndexImage, frame: &LocalFrame, height_m: f64
         let enu = frame.enu_from_geo(localise(image, col, row, height_m)?);
         Ok([enu.x, enu.y])
     };
-    Ok(Footprint::new(
-        corners.iter().map(on_ground).collect::<Result<_, SceneError>>()?,
-    ))
+    let corners = corners.iter().map(on_ground).collect::<Result<_, SceneError>>()?;
+    Ok(Footprint::new(corners))
 }
 
 /// Ground sampling distance at the centre of a window: square root of the pixel's ground area, metres.
 pub(super) fn gsd_m(image: &IndexImage, window: &Window, frame: &LocalFrame, height_m: f64) -> Result<f64, SceneError> {
-    let (col, row) = (
-        window.col0 as f64 + (window.width as f64 - 1.0) / 2.0,
-        window.row0 as f64 + (window.height as f64 - 1.0) / 2.0,
-    );
-    let ground =
-        |col, row| -> Result<Vector3<f64>, SceneError> { Ok(frame.enu_from_geo(localise(image, col, row, height_m)?)) };
+    let middle = |first: usize, count: usize| first as f64 + (count as f64 - 1.0) / 2.0;
+    let (col, row) = (middle(window.col0, window.width), middle(window.row0, window.height));
+    let ground = |col, row| Ok::<_, SceneError>(frame.enu_from_geo(localise(image, col, row, height_m)?));
     let centre = ground(col, row)?;
     let (along, down) = (ground(col + 1.0, row)? - centre, ground(col, row + 1.0)? - centre);
     Ok((along.x * down.y - along.y * down.x).abs().sqrt())
@@ -250,21 +230,18 @@ fn check_bands(images: &[IndexImage]) -> Result<(), SceneError> {
     };
     let bands = first.bands.kinds.len();
     if bands > MOST_BANDS {
-        return Err(SceneError::TooManyBands {
-            path: first.path.clone(),
-            bands,
-            most: MOST_BANDS,
-        });
+        return Err(SceneError::TooManyBands(first.path.clone(), bands, MOST_BANDS));
     }
-    match images.iter().find(|image| image.bands.kinds != first.bands.kinds) {
-        None => Ok(()),
-        Some(differing) => Err(SceneError::MixedBands {
-            path: differing.path.clone(),
-            found: bands_in_words(&differing.bands.kinds),
-            other: first.path.clone(),
-            expected: bands_in_words(&first.bands.kinds),
-        }),
-    }
+    let Some(other) = images.iter().find(|image| image.bands.kinds != first.bands.kinds) else {
+        return Ok(());
+    };
+    let [found, expected] = [other, first].map(|image| bands_in_words(&image.bands.kinds));
+    Err(SceneError::MixedBands(
+        other.path.clone(),
+        found,
+        first.path.clone(),
+        expected,
+    ))
 }
 
 fn not_covered(source: &Path, area: &str) -> SceneError {
@@ -273,26 +250,18 @@ fn not_covered(source: &Path, area: &str) -> SceneError {
 
 /// Error for images that share no ground; names the first and the last training image.
 fn no_overlap(images: &[Placed], altitude_m: f64) -> SceneError {
-    let mut training = images.iter().filter(|placed| placed.image.split == Split::Train);
-    let first = training
-        .next()
-        .map(|placed| placed.image.path.clone())
-        .unwrap_or_default();
-    SceneError::NoOverlap {
-        second: training
-            .next()
-            .map_or_else(|| first.clone(), |placed| placed.image.path.clone()),
-        first,
-        altitude_m,
-    }
+    let training = images.iter().filter(|placed| placed.image.split == Split::Train);
+    let mut paths = training.map(|placed| placed.image.path.clone());
+    let first = paths.next().unwrap_or_default();
+    let second = paths.next().unwrap_or_else(|| first.clone());
+    SceneError::NoOverlap(first, second, altitude_m)
 }
 
 /// Least overlap of two footprints, square metres.
 fn least_overlap_m2(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<f64, SceneError> {
-    let first = images
-        .first()
-        .map(|first| gsd_m(first.image, &whole(first.image), frame, altitude_m));
-    Ok(LEAST_OVERLAP_PX.powi(2) * first.transpose()?.unwrap_or(0.0).powi(2))
+    let gsd_m = |first: &Placed| gsd_m(first.image, &whole(first.image), frame, altitude_m);
+    let first = images.first().map(gsd_m).transpose()?;
+    Ok(LEAST_OVERLAP_PX.powi(2) * first.unwrap_or(0.0).powi(2))
 }
 
 /// Largest ratio of ground sampling distances within one kind of images.
@@ -322,10 +291,9 @@ pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
         (median * per_unit).round() / per_unit
     };
     let round = in_digits(1);
-    if (round - median).abs() <= ROUNDED * median {
-        round
-    } else {
-        in_digits(2)
+    match (round - median).abs() <= ROUNDED * median {
+        true => round,
+        false => in_digits(2),
     }
 }
 
@@ -339,14 +307,10 @@ fn training_footprints(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -
 
 /// Middle of the ground that all training images show, or else of the ground that two show.
 fn middle_of(footprints: &[Footprint], near: &LocalFrame) -> GeoPoint {
-    let centre = match (
-        footprint::common(footprints).centre(),
-        footprint::covered_twice(footprints, 0.0),
-    ) {
-        (Some(centre), _) => centre,
-        (None, Some(area)) => [(area.west_m + area.east_m) / 2.0, (area.south_m + area.north_m) / 2.0],
-        (None, None) => [0.0; 2],
-    };
+    let of_all = footprint::common(footprints).centre();
+    let twice = footprint::covered_twice(footprints, 0.0);
+    let of_two = twice.map(|area| [(area.west_m + area.east_m) / 2.0, (area.south_m + area.north_m) / 2.0]);
+    let centre = of_all.or(of_two).unwrap_or_default();
     near.geo_from_enu(Vector3::new(centre[0], centre[1], 0.0))
 }
 
@@ -357,10 +321,10 @@ fn overlapping<'a>(
     altitude_m: f64,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Placed<'a>>, SceneError> {
-    let mut footprints = Vec::with_capacity(images.len());
-    for placed in &images {
-        footprints.push(footprint_of(placed.image, frame, altitude_m)?);
-    }
+    let footprints = images
+        .iter()
+        .map(|placed| footprint_of(placed.image, frame, altitude_m));
+    let footprints = footprints.collect::<Result<Vec<_>, _>>()?;
     let least_m2 = least_overlap_m2(&images, frame, altitude_m)?;
     let is_training = |index: usize| images[index].image.split == Split::Train;
     let overlaps: Vec<bool> = (0..images.len())
@@ -416,11 +380,9 @@ fn one_place(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<(
     let (Some(&(first, at, _)), Some(&(second, other, _))) = (reached.first(), others.first()) else {
         return Ok(());
     };
-    Err(SceneError::OtherPlace {
-        first: first.image.path.clone(),
-        second: second.image.path.clone(),
-        apart_km: (other[0] - at[0]).hypot(other[1] - at[1]) / 1000.0,
-    })
+    let apart_km = (other[0] - at[0]).hypot(other[1] - at[1]) / 1000.0;
+    let [first, second] = [first, second].map(|placed| placed.image.path.clone());
+    Err(SceneError::OtherPlace(second, first, apart_km))
 }
 
 #[cfg(test)]

@@ -79,25 +79,6 @@ impl Footprint {
         }
         Some([origin[0] + sum[0] / (3.0 * twice), origin[1] + sum[1] / (3.0 * twice)])
     }
-
-    fn extend(&self, area: Option<Area>) -> Option<Area> {
-        self.0.iter().fold(area, |area, &[x, y]| {
-            Some(match area {
-                None => Area {
-                    west_m: x,
-                    south_m: y,
-                    east_m: x,
-                    north_m: y,
-                },
-                Some(a) => Area {
-                    west_m: a.west_m.min(x),
-                    south_m: a.south_m.min(y),
-                    east_m: a.east_m.max(x),
-                    north_m: a.north_m.max(y),
-                },
-            })
-        })
-    }
 }
 
 fn signed_area(corners: &[[f64; 2]]) -> f64 {
@@ -115,16 +96,16 @@ fn signed_area(corners: &[[f64; 2]]) -> f64 {
 /// Bounding rectangle of the ground that at least two footprints cover, metres; `None` where no two overlap by
 /// `least_m2` (square metres).
 pub(super) fn covered_twice(footprints: &[Footprint], least_m2: f64) -> Option<Area> {
-    let mut area = None;
+    let mut corners = Vec::new();
     for (index, first) in footprints.iter().enumerate() {
         for second in &footprints[index + 1..] {
             let shared = first.intersection(second);
             if shared.area_m2() >= least_m2 {
-                area = shared.extend(area);
+                corners.extend(shared.0);
             }
         }
     }
-    area
+    (!corners.is_empty()).then(|| Area::covering(corners))
 }
 
 /// Ground that all footprints cover; it may be empty.

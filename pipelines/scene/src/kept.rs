@@ -1,6 +1,5 @@
 //! The cut stored with a run (`cut.json`): all quantities that decide which pixels and cameras were used.
 
-use super::crop::Crop;
 use super::{AltitudeRange, Area, BandKind, Cut, CutImage, RpcPreference, SceneError, SceneImage, Split};
 use heliosplat_delivery::{Counts, FileIdentity, Hashes, Index, IndexImage};
 use heliosplat_raster::{Window, is_virtual, sha256};
@@ -43,7 +42,7 @@ pub struct KeptImage {
     /// Columns and rows of the image.
     pub size: (usize, usize),
     /// Window that was read, pixels.
-    pub window: Crop,
+    pub window: Window,
     /// Indices of the bands in the file, from 0.
     pub file_bands: Vec<usize>,
     /// Kind of each band.
@@ -61,7 +60,6 @@ impl KeptCut {
     pub(super) fn of(index: &Index, cut: &Cut, counts_per_unit: f64) -> Self {
         let images = cut.images.iter().filter_map(|part| {
             let image = index.images.get(part.image)?;
-            let window = &part.window;
             Some(KeptImage {
                 name: image.name.clone(),
                 paths: std::iter::once(&image.path).chain(&image.others).cloned().collect(),
@@ -69,12 +67,7 @@ impl KeptCut {
                 pixels_sha256: None,
                 split: part.split,
                 size: image.size,
-                window: Crop {
-                    col0: window.col0,
-                    row0: window.row0,
-                    width: window.width,
-                    height: window.height,
-                },
+                window: part.window,
                 file_bands: image.bands.file_bands.clone(),
                 bands: image.bands.kinds.clone(),
                 counts: image.counts,
@@ -136,30 +129,19 @@ impl KeptCut {
             .collect();
         let mut images = Vec::with_capacity(self.images.len());
         for kept in &self.images {
-            let found = by_name
-                .get(kept.name.as_str())
-                .and_then(|&place| Some((place, index.images.get(place)?)));
+            let place = by_name.get(kept.name.as_str());
+            let found = place.and_then(|&place| Some((place, index.images.get(place)?)));
             let Some((place, image)) = found else {
                 return Err(format!("the image {} is missing", kept.name));
             };
             if let Some(difference) = kept.difference(image) {
                 return Err(difference);
             }
-            let Crop {
-                col0,
-                row0,
-                width,
-                height,
-            } = kept.window;
+            let (window, split) = (kept.window, kept.split);
             images.push(CutImage {
                 image: place,
-                window: Window {
-                    col0,
-                    row0,
-                    width,
-                    height,
-                },
-                split: kept.split,
+                window,
+                split,
             });
         }
         Ok(Cut {
@@ -182,11 +164,10 @@ impl KeptImage {
     /// First difference to the current image, in words; `None` where there is none.
     fn difference(&self, now: &IndexImage) -> Option<String> {
         let path = now.path.display();
-        let (width, height) = self.size;
+        let ((width, height), (now_width, now_height)) = (self.size, now.size);
         if self.size != now.size {
             return Some(format!(
-                "{path} has {} x {} pixels, not {width} x {height}",
-                now.size.0, now.size.1
+                "{path} has {now_width} x {now_height} pixels, not {width} x {height}"
             ));
         }
         if self.bands != now.bands.kinds || self.file_bands != now.bands.file_bands {
@@ -198,11 +179,8 @@ impl KeptImage {
         let paths = || std::iter::once(&now.path).chain(&now.others);
         let replaced = paths().count() != self.paths.len();
         let changed = |file: &FileIdentity, path: &PathBuf| {
-            let here = FileIdentity {
-                path: path.clone(),
-                ..file.clone()
-            };
-            !here.is_unchanged()
+            let path = path.clone();
+            !FileIdentity { path, ..file.clone() }.is_unchanged()
         };
         let on_disk = paths().filter(|path| !is_virtual(path));
         if let Some((_, path)) = self.files.iter().zip(on_disk).find(|(file, path)| changed(file, path)) {
@@ -211,13 +189,10 @@ impl KeptImage {
         if replaced {
             return Some(format!("{path} is made of other files"));
         }
-        let source = &now.rpc_source;
-        (self.camera != now.rpc).then(|| match *source == self.camera_source {
+        let (source, before) = (&now.rpc_source, &self.camera_source);
+        (self.camera != now.rpc).then(|| match source == before {
             true => format!("the camera of {path} ({source}) has changed"),
-            false => format!(
-                "the camera of {path} is that of {source}, not that of {}",
-                self.camera_source
-            ),
+            false => format!("the camera of {path} is that of {source}, not that of {before}"),
         })
     }
 }

@@ -22,9 +22,8 @@ impl KnownTiles {
             let rows = row * TILE_PX..((row + 1) * TILE_PX).min(height);
             let columns = col * TILE_PX..((col + 1) * TILE_PX).min(width);
             let cells = rows.len() * columns.len();
-            let with_data: usize = rows
-                .map(|r| known[r * width..][columns.clone()].iter().filter(|&&k| k).count())
-                .sum();
+            let known_in = |r: usize| known[r * width..][columns.clone()].iter().filter(|&&k| k).count();
+            let with_data: usize = rows.map(known_in).sum();
             if 2 * with_data > cells { '1' } else { '0' }
         };
         let row = |row: usize| (0..width.div_ceil(TILE_PX)).map(|col| most(col, row)).collect();

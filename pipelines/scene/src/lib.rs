@@ -25,7 +25,7 @@ pub use cut::{Cut, CutImage};
 pub use heliosplat_delivery::{
     AltitudeRange, AltitudeSource, BandKind, FileIdentity, Finding, Hashes, ImageSun, Index, RelitTruth, RpcPreference,
     SceneError, Seen, Severity, Split, SunSource, Truth, camera_of, image_described, images_listed, places_in_til,
-    relit_truth, seen,
+    relit_truth, seen, toml_fault,
 };
 pub use kept::{KeptCut, KeptImage};
 pub use known_tiles::KnownTiles;

@@ -28,13 +28,8 @@ impl SceneImage {
     pub fn ray(&self) -> Vector3<f64> {
         let map = &self.pinhole.map;
         let [col, row] = map.project(Vector3::zeros());
-        let along = |numerator: &[f64; 4], at: f64| {
-            Vector3::new(
-                numerator[0] - at * map.w[0],
-                numerator[1] - at * map.w[1],
-                numerator[2] - at * map.w[2],
-            )
-        };
+        let along =
+            |numerator: &[f64; 4], at: f64| Vector3::from([0, 1, 2].map(|axis| numerator[axis] - at * map.w[axis]));
         // Column and row are constant along a ray, so the ray is normal to both gradients.
         let ray = along(&map.u, col).cross(&along(&map.v, row)).normalize();
         if ray.z > 0.0 { -ray } else { ray }
@@ -94,14 +89,12 @@ impl Scene {
     /// True for each place of a grid over the area, at mid altitude, that the image shows.
     fn shown_by(&self, image: &SceneImage) -> Vec<bool> {
         let along = |low: f64, high: f64, step: usize| low + (high - low) * (step as f64 + 0.5) / STEPS as f64;
-        let place = |i: usize| {
-            Vector3::new(
-                along(self.area.west_m, self.area.east_m, i % STEPS),
-                along(self.area.south_m, self.area.north_m, i / STEPS),
-                0.0,
-            )
+        let sees = |i: usize| {
+            let east_m = along(self.area.west_m, self.area.east_m, i % STEPS);
+            let north_m = along(self.area.south_m, self.area.north_m, i / STEPS);
+            image.sees(Vector3::new(east_m, north_m, 0.0))
         };
-        (0..STEPS * STEPS).map(|i| image.sees(place(i))).collect()
+        (0..STEPS * STEPS).map(sees).collect()
     }
 
     /// Warns about pairs of training images with equal cameras (over the whole range of altitudes, the parallax between
@@ -112,9 +105,7 @@ impl Scene {
         let mut warned: Vec<String> = Vec::new();
         for pair in self.pairs() {
             let images = [&pair.a, &pair.b].map(|name| self.images.iter().find(|image| image.name == *name));
-            let [Some(a), Some(b)] = images else {
-                continue;
-            };
+            let [Some(a), Some(b)] = images else { continue };
             let has_one_camera = pair.base_to_height < measurable && pair.overlap > 0.0;
             let (code, what) = match has_one_camera {
                 true => (

@@ -29,9 +29,10 @@ pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String
     }
     if image.counts == Counts::Display {
         let white = white_of(&image.data_type, &raster);
-        for value in &mut raster.values {
-            *value = display::decode(*value / white);
-        }
+        raster
+            .values
+            .iter_mut()
+            .for_each(|value| *value = display::decode(*value / white));
     }
     Ok(raster)
 }
@@ -84,22 +85,16 @@ fn unit_of(images: &[&mut Raster]) -> f32 {
     let step = (total / SAMPLES).max(1);
     let mut sample: Vec<f32> = Vec::with_capacity(total / step + images.len());
     for image in images.iter() {
-        let finite = image
-            .values
-            .iter()
-            .step_by(step)
-            .copied()
-            .filter(|value| value.is_finite());
-        sample.extend(finite);
+        let values = image.values.iter().step_by(step).copied();
+        sample.extend(values.filter(|value| value.is_finite()));
     }
     let Some(unit) = quantile(&mut sample, UNIT_QUANTILE) else {
         return 1.0;
     };
     // An image that is dark almost everywhere needs a unit greater than zero.
-    if unit > 0.0 {
-        unit
-    } else {
-        sample.iter().copied().fold(f32::MIN_POSITIVE, f32::max)
+    match unit > 0.0 {
+        true => unit,
+        false => sample.iter().copied().fold(f32::MIN_POSITIVE, f32::max),
     }
 }
 
@@ -129,11 +124,8 @@ pub(super) fn blank_unusable(
     };
     let file = RasterFile::open(path)?;
     if file.size() != image.size {
-        warnings.push(format!(
-            "{}: not of the size of {}; this mask is not applied",
-            path.display(),
-            image.path.display()
-        ));
+        let (path, image) = (path.display(), image.path.display());
+        warnings.push(format!("{path}: not of the size of {image}; this mask is not applied"));
         return Ok(());
     }
     let is_second = file.bands.len() > 1;
@@ -147,11 +139,8 @@ pub(super) fn blank_unusable(
     let count = (0..plane).filter(|&index| unusable(index)).count();
     if count > 0 {
         let share = 100.0 * count as f64 / plane as f64;
-        warnings.push(format!(
-            "{}: {share:.1} % of the pixels are unusable by {}",
-            image.path.display(),
-            path.display()
-        ));
+        let (path, image) = (path.display(), image.path.display());
+        warnings.push(format!("{image}: {share:.1} % of the pixels are unusable by {path}"));
     }
     blank(raster, unusable);
     Ok(())
@@ -166,10 +155,9 @@ fn blank_black_border(raster: &mut Raster, path: &Path, warnings: &mut Vec<Strin
     if (count as f64) < LEAST_SHARE * raster.plane_len() as f64 {
         return;
     }
+    let (path, share) = (path.display(), 100.0 * count as f64 / raster.plane_len() as f64);
     warnings.push(format!(
-        "{}: a black border of {:.1} % of its pixels is taken as missing",
-        path.display(),
-        100.0 * count as f64 / raster.plane_len() as f64
+        "{path}: a black border of {share:.1} % of its pixels is taken as missing"
     ));
     blank(raster, |index| border[index]);
 }
@@ -178,35 +166,19 @@ fn black_border(raster: &Raster) -> Vec<bool> {
     let (width, height, plane) = (raster.width, raster.height, raster.plane_len());
     let is_black = |index: usize| (0..raster.bands).all(|band| raster.values[band * plane + index] == 0.0);
     let mut border = vec![false; plane];
-    let mut open: Vec<usize> = Vec::new();
-    let visit = |index: usize, border: &mut Vec<bool>, open: &mut Vec<usize>| {
-        if !border[index] && is_black(index) {
-            border[index] = true;
-            open.push(index);
-        }
-    };
-    for col in 0..width {
-        visit(col, &mut border, &mut open);
-        visit((height - 1) * width + col, &mut border, &mut open);
-    }
-    for row in 0..height {
-        visit(row * width, &mut border, &mut open);
-        visit(row * width + width - 1, &mut border, &mut open);
-    }
+    let columns = (0..width).flat_map(|col| [col, (height - 1) * width + col]);
+    let rows = (0..height).flat_map(|row| [row * width, row * width + width - 1]);
+    let mut open: Vec<usize> = columns.chain(rows).collect();
     while let Some(index) = open.pop() {
+        if border[index] || !is_black(index) {
+            continue;
+        }
+        border[index] = true;
         let (col, row) = (index % width, index / width);
-        if col > 0 {
-            visit(index - 1, &mut border, &mut open);
-        }
-        if col + 1 < width {
-            visit(index + 1, &mut border, &mut open);
-        }
-        if row > 0 {
-            visit(index - width, &mut border, &mut open);
-        }
-        if row + 1 < height {
-            visit(index + width, &mut border, &mut open);
-        }
+        open.extend((col > 0).then(|| index - 1));
+        open.extend((col + 1 < width).then_some(index + 1));
+        open.extend((row > 0).then(|| index - width));
+        open.extend((row + 1 < height).then_some(index + width));
     }
     border
 }

@@ -31,14 +31,10 @@ impl Scene {
         cut.images = images.iter().map(|read| read.part).collect();
         cut.must_be_shown_twice(&index.source, || cut.area.to_string())?;
         let frame = cut.frame;
-        let mut suns = Vec::with_capacity(images.len());
-        for read in &images {
-            suns.push(read.image.sun(frame.origin, &mut warnings));
-        }
-        let shown: Vec<_> = images
-            .iter()
-            .map(|read| pixels::for_display(read.image, &read.pixels))
-            .collect();
+        let suns = images.iter().map(|read| read.image.sun(frame.origin, &mut warnings));
+        let suns: Vec<ImageSun> = suns.collect();
+        let shown = images.iter().map(|read| pixels::for_display(read.image, &read.pixels));
+        let shown: Vec<_> = shown.collect();
         let mut rasters: Vec<&mut Raster> = images.iter_mut().map(|read| &mut read.pixels).collect();
         let counts_per_unit = pixels::scale_together(&mut rasters, cut.counts_per_unit);
         cut.counts_per_unit = Some(counts_per_unit);
@@ -58,9 +54,8 @@ impl Scene {
         let fits = fit_pinholes(&images, &cut, &mut warnings)?;
         let kept = KeptCut::of(index, &cut, counts_per_unit);
         let mut out = Vec::with_capacity(images.len());
-        for (((Read { image, part, pixels }, sun), (_, values)), pinhole) in
-            images.into_iter().zip(suns).zip(values).zip(fits)
-        {
+        let read = images.into_iter().zip(suns).zip(values).zip(fits);
+        for (((Read { image, part, pixels }, sun), (_, values)), pinhole) in read {
             out.push(SceneImage {
                 name: image.name.clone(),
                 path: image.path.clone(),

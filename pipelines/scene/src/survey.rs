@@ -105,13 +105,12 @@ impl<'a> Survey<'a> {
     /// Pixels of the training images that show a part of the ground, metres of the survey's frame.
     pub fn part(&self, part: &Area) -> PartSurvey {
         let mut found = PartSurvey::default();
-        for (image, _) in placed(self.index, &self.cut).filter(|(_, cut)| cut.split == Split::Train) {
-            if let Some(window) = window_over(image, self.frame(), part, self.altitude_range_m) {
-                let pixels = pixels_of(&window);
-                found.images += 1;
-                found.pixels += pixels;
-                found.largest = found.largest.max(pixels);
-            }
+        let training = placed(self.index, &self.cut).filter(|(_, cut)| cut.split == Split::Train);
+        let windows = training.filter_map(|(image, _)| window_over(image, self.frame(), part, self.altitude_range_m));
+        for pixels in windows.map(|window| pixels_of(&window)) {
+            found.images += 1;
+            found.pixels += pixels;
+            found.largest = found.largest.max(pixels);
         }
         found
     }
@@ -216,11 +215,10 @@ fn parallax(image: &IndexImage, frame: &LocalFrame, (low_m, high_m): (f64, f64))
 }
 
 fn widest_base_to_height(parallaxes: &[[f64; 2]]) -> f64 {
-    let mut widest = 0.0f64;
-    for (index, [x, y]) in parallaxes.iter().enumerate() {
-        for [other_x, other_y] in &parallaxes[index + 1..] {
-            widest = widest.max((x - other_x).hypot(y - other_y));
-        }
-    }
-    widest
+    let bases = |[x, y]: [f64; 2]| {
+        parallaxes
+            .iter()
+            .map(move |[other_x, other_y]| (x - other_x).hypot(y - other_y))
+    };
+    parallaxes.iter().copied().flat_map(bases).fold(0.0, f64::max)
 }

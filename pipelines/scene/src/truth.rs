@@ -11,9 +11,9 @@ pub(super) fn keep_if_here(truth: &mut Truth, frame: &LocalFrame, area: &Area, w
     let Some(path) = truth.dsm.as_deref() else { return };
     let Some(ground) = ground_of(path, frame) else { return };
     if ground.intersection(area).is_none() {
+        let path = path.display();
         warnings.push(format!(
-            "{}: this truth is on other ground than the scene, left out",
-            path.display()
+            "{path}: this truth is on other ground than the scene, left out"
         ));
         truth.dsm = None;
         truth.classes = None;
@@ -37,24 +37,16 @@ fn ground_of(path: &Path, frame: &LocalFrame) -> Option<Area> {
         None => Crs::utm(frame.origin).ok()?,
     };
     let to_lon_lat = CrsTransform::to_lon_lat(&crs).ok()?;
-    let mut area: Option<Area> = None;
     let (right, bottom) = (width as f64 - 0.5, height as f64 - 0.5);
-    for (col, row) in [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)] {
+    let corner = |(col, row): (f64, f64)| {
         let [x, y] = transform.map_from_pixel(col, row);
         let (lon_deg, lat_deg) = to_lon_lat.apply(x, y).ok()?;
         let at = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m));
-        let known = area.get_or_insert(Area {
-            west_m: at.x,
-            south_m: at.y,
-            east_m: at.x,
-            north_m: at.y,
-        });
-        known.west_m = known.west_m.min(at.x);
-        known.east_m = known.east_m.max(at.x);
-        known.south_m = known.south_m.min(at.y);
-        known.north_m = known.north_m.max(at.y);
-    }
-    area.filter(|area| area.west_m.is_finite() && area.north_m.is_finite())
+        Some([at.x, at.y])
+    };
+    let corners = [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)].map(corner);
+    let area = Area::covering(corners.into_iter().collect::<Option<Vec<_>>>()?);
+    (area.west_m.is_finite() && area.north_m.is_finite()).then_some(area)
 }
 
 impl Scene {

@@ -147,20 +147,19 @@ impl Values {
             })
         };
         let mut reflectance: Vec<_> = gains.iter().map(reflectance).collect();
-        let complete = gains
-            .iter()
-            .zip(&reflectance)
-            .all(|(gain, to)| gain.is_none() || to.is_some());
+        let mut pairs = gains.iter().zip(&reflectance);
+        let complete = pairs.all(|(gain, to)| gain.is_none() || to.is_some());
         if reflectance.iter().all(Option::is_none) {
             reflectance.clear();
         }
         let is_reflectance = calibration.quantity == Quantity::Reflectance || (elevation_rad.is_some() && complete);
+        let kind = if is_reflectance {
+            ValueKind::Reflectance
+        } else {
+            ValueKind::Radiance
+        };
         Self {
-            kind: if is_reflectance {
-                ValueKind::Reflectance
-            } else {
-                ValueKind::Radiance
-            },
+            kind,
             source,
             reflectance,
         }

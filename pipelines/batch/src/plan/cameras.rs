@@ -1,9 +1,7 @@
 //! Units that correct the pointing of an area's images: ties of patches all over it, and one adjustment by all ties.
 
-use super::{AdjustWork, Combination, LEAST_BYTES, LEAST_S, TiesWork, Unit, Work, mebibytes};
+use super::{AdjustWork, Combination, LEAST_BYTES, TiesWork, Unit, Work};
 use crate::tiles::{self, Tiling};
-use heliosplat_fitting::checkpoint::digest;
-use heliosplat_fitting::program::identity_of_program;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::sweep_estimate;
 use heliosplat_satellite::patch_ties::MOST_TIES;
@@ -46,10 +44,8 @@ impl Combination<'_> {
     /// Units that search ties, and the one that corrects the pointing by them.
     pub(super) fn cameras(&self, tiling: &Tiling, survey: &Survey, config: &SatelliteConfig) -> (Vec<Unit>, Unit) {
         let patches = tiles::patches(tiling, survey.gsd_m);
-        let costs: Vec<PatchCost> = patches
-            .iter()
-            .map(|patch| PatchCost::of(patch, survey, config))
-            .collect();
+        let cost = |patch| PatchCost::of(patch, survey, config);
+        let costs: Vec<PatchCost> = patches.iter().map(cost).collect();
         let each = patches_of_unit(&costs);
         let groups = patches.chunks(each).zip(costs.chunks(each)).enumerate();
         let ties: Vec<Unit> = groups
@@ -70,51 +66,23 @@ impl Combination<'_> {
             patches: patches.to_vec(),
             preset: self.preset.clone(),
         };
-        let said = format!(
-            "{}ties\n{:?} {:?} {:?}\n{}\n{}",
-            identity_of_program(),
-            work.patches,
-            work.ingest,
-            self.deliver,
-            self.config,
-            self.inputs
-        );
-        let bytes = costs.iter().map(|cost| cost.bytes).fold(LEAST_BYTES, f64::max);
-        let seconds: f64 = costs.iter().map(|cost| cost.seconds).sum();
-        Unit {
-            id: format!("{}/{}/ties-{number}", self.area.name, self.images.name),
-            after: Vec::new(),
-            mem_mb: mebibytes(bytes),
-            runtime_s: (LEAST_S + seconds).ceil() as u64,
-            key: digest(&said),
-            deliver: self.deliver.cloned(),
-            work: Work::Ties(work),
-        }
+        let identity = format!("ties {:?} {:?}", work.patches, work.ingest);
+        let bytes = costs.iter().map(|cost| cost.bytes).fold(0.0, f64::max);
+        let seconds = costs.iter().map(|cost| cost.seconds).sum();
+        let id = format!("{}/{}/ties-{number}", self.area.name, self.images.name);
+        self.unit(id, &[], (bytes, seconds), &identity, Work::Ties(work))
     }
 
     fn adjust(&self, ties: &[Unit], sightings: f64) -> Unit {
-        let keys: Vec<&str> = ties.iter().map(|unit| unit.key.as_str()).collect();
-        let said = format!(
-            "{}adjust\n{}\n{:?}",
-            identity_of_program(),
-            keys.join("\n"),
-            self.deliver
-        );
-        let after: Vec<String> = ties.iter().map(|unit| unit.id.clone()).collect();
-        Unit {
-            id: self.adjust_id(),
-            after: after.clone(),
-            mem_mb: mebibytes(LEAST_BYTES + BYTES_PER_SIGHTING * sightings),
-            runtime_s: (LEAST_S + S_PER_SIGHTING * sightings).ceil() as u64,
-            key: digest(&said),
-            deliver: self.deliver.cloned(),
-            work: Work::Adjust(AdjustWork {
-                scene: self.images.scene.clone(),
-                rpc: self.ingest.rpc,
-                ties: after,
-                preset: self.preset.clone(),
-            }),
-        }
+        let cost = (LEAST_BYTES + BYTES_PER_SIGHTING * sightings, S_PER_SIGHTING * sightings);
+        let work = Work::Adjust(AdjustWork {
+            scene: self.images.scene.clone(),
+            rpc: self.ingest.rpc,
+            ties: ties.iter().map(|unit| unit.id.clone()).collect(),
+            preset: self.preset.clone(),
+        });
+        let after: Vec<&Unit> = ties.iter().collect();
+        self.unit(self.adjust_id(), &after, cost, "adjust", work)
     }
 }
 

@@ -1,12 +1,8 @@
 //! Units of the joint products of an area's tiles: one mosaic, or colours, blocks and their union.
 
-use super::{
-    ColoursWork, Combination, JoinedWork, LEAST_BYTES, LEAST_S, MosaicTile, MosaicWork, Unit, Work, mebibytes,
-};
+use super::{ColoursWork, Combination, JoinedWork, LEAST_BYTES, MosaicTile, MosaicWork, Unit, Work};
 use crate::blocks::{self, Block};
-use crate::tiles::Tiling;
-use heliosplat_fitting::checkpoint::digest;
-use heliosplat_fitting::program::identity_of_program;
+use crate::tiles::{Tile, Tiling};
 use heliosplat_scene::survey::Survey;
 
 /// Memory of a mosaic for each cell while its surface model is made, bytes: three bands of tiles and of the mosaic,
@@ -41,28 +37,24 @@ impl Cost {
     }
 
     fn seconds(&self, cells: f64, around: f64) -> f64 {
-        LEAST_S + S_PER_CELL * self.rasters * cells + self.sun * S_PER_CELL_OF_SUN * around
+        S_PER_CELL * self.rasters * cells + self.sun * S_PER_CELL_OF_SUN * around
     }
 }
 
 impl Combination<'_> {
     /// Units that merge the tiles of `units`, which they wait for.
     pub(super) fn joint(&self, home: &str, tiling: &Tiling, survey: &Survey, units: &[Unit]) -> Vec<Unit> {
-        let tiles: Vec<MosaicTile> = tiling
-            .tiles
-            .iter()
-            .map(|tile| MosaicTile {
-                unit: format!("{home}/{}", tile.name()),
-                core: tile.core,
-                bounds: tile.area.bounds,
-            })
-            .collect();
+        let tile = |tile: &Tile| MosaicTile {
+            unit: format!("{home}/{}", tile.name()),
+            core: tile.core,
+            bounds: tile.area.bounds,
+        };
+        let tiles: Vec<MosaicTile> = tiling.tiles.iter().map(tile).collect();
         let cost = self.cost(tiling, survey);
         let memory = self.tiles.memory_bytes().map_or(f64::INFINITY, |bytes| bytes as f64);
         let gsd_m = tiling.gsd_m;
-        let side = blocks::side(self.tiles.block, gsd_m, |cells, around| {
-            cost.bytes(cells, around) <= memory
-        });
+        let fits = |cells: f64, around: f64| cost.bytes(cells, around) <= memory;
+        let side = blocks::side(self.tiles.block, gsd_m, fits);
         let blocks = blocks::cut(tiling.bounds, gsd_m, side);
         let cells = |[west, south, east, north]: [f64; 4]| (east - west) * (north - south) / (gsd_m * gsd_m);
         let cost_of = |block: &Block| {
@@ -83,7 +75,7 @@ impl Combination<'_> {
         let all: Vec<&Unit> = units.iter().collect();
         if let [one] = blocks.as_slice() {
             let work = Work::Mosaic(work(one, None));
-            return vec![self.unit(format!("{home}/mosaic"), &all, cost_of(one), work)];
+            return vec![self.joint_unit(format!("{home}/mosaic"), &all, cost_of(one), work)];
         }
         let colours = (!self.products.dsm_only).then(|| {
             let work = Work::Colours(ColoursWork {
@@ -91,8 +83,8 @@ impl Combination<'_> {
                 gsd_m,
                 products: self.products.clone(),
             });
-            let seconds = LEAST_S + JOINED_S_PER_CELL * cells(tiling.bounds);
-            self.unit(format!("{home}/colours"), &all, (LEAST_BYTES, seconds), work)
+            let seconds = JOINED_S_PER_CELL * cells(tiling.bounds);
+            self.joint_unit(format!("{home}/colours"), &all, (LEAST_BYTES, seconds), work)
         });
         let mut merged: Vec<Unit> = Vec::new();
         let mut places = Vec::new();
@@ -103,10 +95,10 @@ impl Combination<'_> {
                 let after: Vec<&Unit> = seen.map(|(unit, _)| unit).chain(&colours).collect();
                 let id = format!("{home}/{}", block.name());
                 places.push((id.clone(), block.bounds));
-                merged.push(self.unit(id, &after, cost_of(block), Work::Block(work)));
+                merged.push(self.joint_unit(id, &after, cost_of(block), Work::Block(work)));
             }
         }
-        let seconds = LEAST_S + JOINED_S_PER_CELL * cost.rasters * cells(tiling.bounds);
+        let seconds = JOINED_S_PER_CELL * cost.rasters * cells(tiling.bounds);
         let bytes = LEAST_BYTES + BYTES_PER_CELL_AND_BAND * cost.bands.max(1.0) * (side * side) as f64;
         let work = Work::Joined(JoinedWork {
             blocks: places,
@@ -118,7 +110,7 @@ impl Combination<'_> {
         });
         // The light of the page is that of the first tile.
         let after: Vec<&Unit> = units.iter().take(1).chain(&merged).collect();
-        let joined = self.unit(format!("{home}/mosaic"), &after, (bytes, seconds), work);
+        let joined = self.joint_unit(format!("{home}/mosaic"), &after, (bytes, seconds), work);
         colours.into_iter().chain(merged).chain([joined]).collect()
     }
 
@@ -136,24 +128,7 @@ impl Combination<'_> {
         }
     }
 
-    /// Joint unit with its key: that of the units that it waits for, and its own work.
-    fn unit(&self, id: String, after: &[&Unit], (bytes, seconds): (f64, f64), work: Work) -> Unit {
-        let keys: Vec<&str> = after.iter().map(|unit| unit.key.as_str()).collect();
-        let said = format!(
-            "{}joint\n{}\n{:?} {:?}",
-            identity_of_program(),
-            keys.join("\n"),
-            work,
-            self.deliver
-        );
-        Unit {
-            id,
-            after: after.iter().map(|unit| unit.id.clone()).collect(),
-            mem_mb: mebibytes(bytes),
-            runtime_s: seconds.ceil() as u64,
-            key: digest(&said),
-            deliver: self.deliver.cloned(),
-            work,
-        }
+    fn joint_unit(&self, id: String, after: &[&Unit], cost: (f64, f64), work: Work) -> Unit {
+        self.unit(id, after, cost, &format!("joint {work:?}"), work)
     }
 }

@@ -84,11 +84,11 @@ pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
         text += &format!(
             "{}: {} files, {:.1} % of the ground known\n",
             folder.display(),
-            set.files.len(),
+            set.names.len(),
             100.0 * set.completeness
         );
         items.push((id.clone(), set.item));
-        files.extend(set.files);
+        files.extend(set.names.iter().map(|name| folder.join(name)));
     }
     if several {
         let path = out.join("collection.json");

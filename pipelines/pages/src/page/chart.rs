@@ -4,6 +4,7 @@
 
 use super::{plain, without_control_characters};
 use maud::{Markup, html};
+use std::ops::RangeInclusive;
 
 /// Left, right, top and bottom margins, chart units.
 const MARGIN: [f64; 4] = [52.0, 14.0, 26.0, 42.0];
@@ -186,11 +187,8 @@ impl Chart<'_> {
     fn draw(&self, theme: &Theme) -> Markup {
         let path = |points: &[(f64, f64)]| -> String {
             let known = points.iter().filter(|p| p.0.is_finite() && p.1.is_finite());
-            let placed = known.map(|p| self.place(*p));
-            placed
-                .map(|(x, y)| format!("{x:.1},{y:.1}"))
-                .collect::<Vec<_>>()
-                .join(" ")
+            let placed = known.map(|p| self.place(*p)).map(|(x, y)| format!("{x:.1},{y:.1}"));
+            placed.collect::<Vec<_>>().join(" ")
         };
         html! {
             g font-family="system-ui,sans-serif" font-size=(FONT_SIZE) fill=(theme.text) {
@@ -231,19 +229,15 @@ impl Chart<'_> {
 
     /// Names of the lines, in the corner that the lines cover least.
     fn legend(&self, theme: &Theme) -> Markup {
-        let named = || {
-            self.lines
-                .iter()
-                .zip(theme.series.iter().cycle())
-                .filter(|(line, _)| !line.name.is_empty())
-        };
+        let lines = || self.lines.iter().zip(theme.series.iter().cycle());
+        let named = || lines().filter(|(line, _)| !line.name.is_empty());
         let count = named().count();
         let longest = named().map(|(line, _)| line.name.chars().count()).max().unwrap_or(0);
         let (width, height) = (longest as f64 * CHARACTER, count as f64 * LINE_HEIGHT);
         let (left, right) = (MARGIN[0] + 8.0, self.size.0 - MARGIN[1] - 4.0 - width);
         let (top, bottom) = (self.top() + 4.0, self.size.1 - MARGIN[3] - 6.0 - height);
         let corners = [(right, bottom), (left, top), (right, top), (left, bottom)];
-        let covered = |(x, y): &(f64, f64)| self.lines_within(&Area([*x, x + width, *y, y + height]));
+        let covered = |(x, y): &(f64, f64)| self.points_within(*x..=x + width, *y..=y + height);
         // Of equal corners, the first.
         let (x, y) = corners.into_iter().min_by_key(covered).unwrap_or_default();
         html! {
@@ -253,13 +247,11 @@ impl Chart<'_> {
         }
     }
 
-    /// Number of sample points of the lines within an area.
-    fn lines_within(&self, area: &Area) -> usize {
-        let samples = self
-            .lines
-            .iter()
-            .flat_map(|line| line.points.windows(2).flat_map(between));
-        samples.filter(|p| area.contains_point(self.place(*p))).count()
+    /// Number of sample points of the lines within a rectangle.
+    fn points_within(&self, across: RangeInclusive<f64>, down: RangeInclusive<f64>) -> usize {
+        let pieces = self.lines.iter().flat_map(|line| line.points.windows(2));
+        let places = pieces.flat_map(between).map(|point| self.place(point));
+        places.filter(|(x, y)| across.contains(x) && down.contains(y)).count()
     }
 }
 
@@ -271,16 +263,6 @@ fn between(ends: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> + use<> {
         let share = part as f64 / PARTS as f64;
         (x0 + share * (x1 - x0), y0 + share * (y1 - y0))
     })
-}
-
-/// Rectangle: left, right, top, bottom, chart units.
-struct Area([f64; 4]);
-
-impl Area {
-    fn contains_point(&self, (x, y): (f64, f64)) -> bool {
-        let [left, right, top, bottom] = self.0;
-        (left..=right).contains(&x) && (top..=bottom).contains(&y)
-    }
 }
 
 /// SVG file with a white background.

@@ -46,13 +46,10 @@ impl Layer {
 
     /// Picture with red, green and blue, 0 to 255.
     pub fn picture(id: &str, name: &str, values: Raster) -> Self {
+        let unit = "";
         Self {
-            id: id.into(),
-            name: name.into(),
-            unit: "",
-            ramp: Ramp::Picture,
-            range: [0.0, 255.0],
-            values,
+            unit,
+            ..Self::map(id, name, (Ramp::Picture, [0.0, 255.0]), values)
         }
     }
 }

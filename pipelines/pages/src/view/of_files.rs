@@ -1,7 +1,7 @@
 //! Content of the page of a surface model in a file of any source.
 
 use super::ViewError;
-use super::exhibit::{Exhibit, LightTable, coloured, shown};
+use super::exhibit::{Exhibit, LightTable, shown};
 use heliosplat::Raster;
 use heliosplat_evaluate::resample::Placement;
 use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, dsm_bands};
@@ -26,32 +26,18 @@ pub fn of_files(dsm: &Path, albedo: Option<&Path>) -> Result<Exhibit, ViewError>
 /// When the file cannot be read, no height is known, or it has no coordinate reference system.
 pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
     let file = GeoRaster::read_heights(path)?;
-    let crs = file.crs.clone().ok_or_else(|| ViewError::NoCrs(path.to_owned()))?;
-    let band = file.band(dsm_bands::ALTITUDE).unwrap_or(0);
-    let (width, height) = (file.raster.width, file.raster.height);
-    let altitude = Raster {
-        width,
-        height,
-        bands: 1,
-        values: file.raster.plane(band).to_vec(),
-    };
+    let grid = file.grid().ok_or_else(|| ViewError::NoCrs(path.to_owned()))?;
+    let altitude = file.raster.band(file.band(dsm_bands::ALTITUDE).unwrap_or(0));
     if !altitude.values.iter().any(|z| z.is_finite()) {
-        return Err(ViewError::Nothing {
-            what: path.display().to_string(),
-        });
+        let what = path.display().to_string();
+        return Err(ViewError::Nothing { what });
     }
     let metadata = RasterFile::open(path)?.domain("");
     let datum = metadata.get("VERTICAL_DATUM").cloned();
-    let gsd_m = file.transform.pixel_size().1 * crs.metres_per_unit();
     Ok(Exhibit {
         title: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
-        grid: GridSpec {
-            width,
-            height,
-            transform: file.transform,
-            crs,
-        },
-        gsd_m,
+        gsd_m: grid.transform.pixel_size().1 * grid.crs.metres_per_unit(),
+        grid,
         altitude,
         vertical_datum: datum.unwrap_or_default(),
         albedo: None,
@@ -69,18 +55,13 @@ pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
 pub(super) fn albedo_on(path: &Path, grid: &GridSpec) -> Result<Raster, ViewError> {
     let file = GeoRaster::read(path)?;
     let kinds: Vec<BandKind> = file.band_names.iter().map(|name| kind(name)).collect();
-    let bands = shown(&kinds);
-    let mut values = Vec::new();
-    for band in bands {
-        values.extend(on_grid(&file, band, grid)?.values);
+    let mut three = Raster::filled(grid.width, grid.height, 3, f32::NAN);
+    for (place, band) in shown(&kinds).into_iter().enumerate() {
+        three
+            .plane_mut(place)
+            .copy_from_slice(&on_grid(&file, band, grid)?.values);
     }
-    let three = Raster {
-        width: grid.width,
-        height: grid.height,
-        bands: 3,
-        values,
-    };
-    Ok(coloured(&three, [0, 1, 2]))
+    Ok(three)
 }
 
 /// Kind of the band with this name; `Other` for unknown names.
@@ -96,12 +77,7 @@ fn kind(name: &str) -> BandKind {
 /// When a coordinate reference system cannot be used.
 pub(super) fn on_grid(source: &GeoRaster, band: usize, grid: &GridSpec) -> Result<Raster, ViewError> {
     let target = GeoRaster {
-        raster: Raster {
-            width: grid.width,
-            height: grid.height,
-            bands: 0,
-            values: Vec::new(),
-        },
+        raster: Raster::filled(grid.width, grid.height, 0, f32::NAN),
         transform: grid.transform,
         crs: Some(grid.crs.clone()),
         band_names: Vec::new(),

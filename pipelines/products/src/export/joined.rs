@@ -113,15 +113,9 @@ fn extent(tile: &Value, transform: &Value, place: impl Fn(Vector3<f64>) -> [f64;
 }
 
 fn united(a: Region, b: Region) -> Region {
-    let [low, high] = [f64::min as fn(f64, f64) -> f64, f64::max];
-    [
-        low(a[0], b[0]),
-        low(a[1], b[1]),
-        high(a[2], b[2]),
-        high(a[3], b[3]),
-        low(a[4], b[4]),
-        high(a[5], b[5]),
-    ]
+    let low = |k: usize| f64::min(a[k], b[k]);
+    let high = |k: usize| f64::max(a[k], b[k]);
+    [low(0), low(1), high(2), high(3), low(4), high(5)]
 }
 
 #[cfg(test)]

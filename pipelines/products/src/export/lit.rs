@@ -245,14 +245,8 @@ fn reference_sun(file: &ModelFile) -> Option<SunPosition> {
 /// Nadir image in the model's units; NaN where alpha is below one half.
 fn from_above(model: &LoadedModel, light: Option<(SunPosition, Light)>) -> Result<Raster, RelightError> {
     let nadir = NadirGrid::new(&model.into(), model.file.gsd_m, None)?;
-    let seen = render(
-        &model.model,
-        &model.parameters,
-        &nadir.camera,
-        light.map(|(_, light)| light),
-        None,
-        model.pass_options(),
-    );
+    let (parallel, shown, options) = (light.map(|(_, light)| light), &model.parameters, model.pass_options());
+    let seen = render(&model.model, shown, &nadir.camera, parallel, None, options);
     let mut image = match light {
         Some((sun, light)) => composed(model, &sun, light, &nadir.camera, &seen.maps)?,
         None => seen.image,

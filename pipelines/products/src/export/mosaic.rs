@@ -93,10 +93,7 @@ impl Mosaic {
         let bands = load_file(&self.tiles[0].run)?.bands;
         let own = || white_of(&self.albedo, &bands);
         let white = self.reference.map_or_else(own, |reference| reference.white);
-        Ok(TexturedGround::new(
-            (&self.dsm, &self.albedo),
-            (&bands, white),
-            &self.nadir.enu,
-        ))
+        let (rasters, look) = ((&self.dsm, &self.albedo), (bands.as_slice(), white));
+        Ok(TexturedGround::new(rasters, look, &self.nadir.enu))
     }
 }

@@ -14,6 +14,7 @@ use heliosplat_exchange::mesh::{Look, Mesh, glb};
 use heliosplat_exchange::tiles::{ERROR_OF_CELL, Tile, WriteFile};
 use heliosplat_raster::EnuGrid;
 use heliosplat_scene::BandKind;
+use image::imageops::{FilterType, crop_imm, resize};
 use image::{ImageFormat, Rgb, RgbImage};
 use serde_json::{Value, json};
 use std::io::Cursor;
@@ -105,15 +106,8 @@ impl TexturedGround {
     /// # Errors
     /// `TooLarge` for a file of more than 4 GiB.
     pub(super) fn whole(&self, said: Value) -> Result<Option<Dressed>, TooLarge> {
-        let to = [self.width - 1, self.height - 1];
-        self.dressed(
-            &Part {
-                from: [0, 0],
-                to,
-                step: 1,
-            },
-            said,
-        )
+        let (from, to, step) = ([0, 0], [self.width - 1, self.height - 1], 1);
+        self.dressed(&Part { from, to, step }, said)
     }
 
     /// Writes the whole surface as tiles, each coarser level with a quarter of the cells, and returns the root; `None`
@@ -166,11 +160,7 @@ impl TexturedGround {
         for quarter in 0..4 {
             let start = [from[0] + (quarter % 2) * half, from[1] + (quarter / 2) * half];
             if let Some(child) = self.grow(start, level - 1, format!("{name}-{quarter}"), write, triangles)? {
-                for k in 0..3 {
-                    tile.low[k] = tile.low[k].min(child.low[k]);
-                    tile.high[k] = tile.high[k].max(child.high[k]);
-                }
-                tile.children.push(child);
+                tile.add(child);
             }
         }
         Ok(Some(tile))
@@ -266,14 +256,8 @@ impl TexturedGround {
                     return add(c, r, own, &mut out);
                 }
                 let corner = r * cols.len() + c;
-                match shared[corner] {
-                    Some(index) => index,
-                    None => {
-                        let index = add(c, r, sums[corner].normalize_or(Vec3::Z), &mut out);
-                        shared[corner] = Some(index);
-                        index
-                    }
-                }
+                let new = || add(c, r, sums[corner].normalize_or(Vec3::Z), &mut out);
+                *shared[corner].get_or_insert_with(new)
             });
             out.triangles.push(triangle);
         }
@@ -283,17 +267,11 @@ impl TexturedGround {
     /// Picture of a part as PNG: one pixel for each of its cells, averaged where not every cell is a corner.
     fn png(&self, part: &Part) -> Vec<u8> {
         let [width, height] = [0, 1].map(|k| part.to[k] - part.from[k] + 1);
-        let cut = image::imageops::crop_imm(
-            &self.picture,
-            part.from[0] as u32,
-            part.from[1] as u32,
-            width as u32,
-            height as u32,
-        );
-        let mut picture = cut.to_image();
+        let [left, top] = part.from.map(|at| at as u32);
+        let mut picture = crop_imm(&self.picture, left, top, width as u32, height as u32).to_image();
         if part.step > 1 {
             let [width, height] = [width, height].map(|n| n.div_ceil(part.step) as u32);
-            picture = image::imageops::resize(&picture, width, height, image::imageops::FilterType::Triangle);
+            picture = resize(&picture, width, height, FilterType::Triangle);
         }
         let mut bytes = Cursor::new(Vec::new());
         let written = picture.write_to(&mut bytes, ImageFormat::Png);

@@ -24,9 +24,10 @@ pub(super) struct Irradiance {
 /// turbidity; zero for a sun below the horizon.
 pub(super) fn irradiance(elevation_rad: f64, distance_au: f64, height_m: f64, turbidity: f64) -> Irradiance {
     if elevation_rad <= 0.0 {
+        let (beam_w_m2, diffuse_w_m2) = (0.0, 0.0);
         return Irradiance {
-            beam_w_m2: 0.0,
-            diffuse_w_m2: 0.0,
+            beam_w_m2,
+            diffuse_w_m2,
         };
     }
     let above_air_w_m2 = SOLAR_CONSTANT_W_M2 / (distance_au * distance_au);

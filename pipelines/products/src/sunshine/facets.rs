@@ -30,10 +30,10 @@ pub(super) struct Facets {
 impl Facets {
     /// The planes of an altitude raster.
     pub(super) fn of(altitude_m: &Raster, cells: &CellVectors) -> Self {
-        let planes: Vec<[f32; 3]> = (0..altitude_m.plane_len())
+        let planes = (0..altitude_m.plane_len())
             .into_par_iter()
-            .map(|cell| plane(altitude_m, cells, cell))
-            .collect();
+            .map(|cell| plane(altitude_m, cells, cell));
+        let planes: Vec<[f32; 3]> = planes.collect();
         Self {
             width: altitude_m.width,
             height: altitude_m.height,

@@ -84,11 +84,8 @@ impl<'a> Horizons<'a> {
                 continue;
             }
             let along = if lines.from_last { lines.steps - 1 - step } else { step };
-            let (col, row) = if lines.by_col {
-                (along, across as usize)
-            } else {
-                (across as usize, along)
-            };
+            let across = across as usize;
+            let (col, row) = if lines.by_col { (along, across) } else { (across, along) };
             let cell = row * self.facets.width + col;
             if !self.facets.is_known(cell) {
                 continue;

@@ -88,12 +88,8 @@ impl Suns {
             if sun.elevation_rad <= 0.0 {
                 continue;
             }
-            let light = irradiance(
-                sun.elevation_rad,
-                earth_sun_distance_au(time),
-                place.height_m,
-                LINKE_TURBIDITY,
-            );
+            let distance_au = earth_sun_distance_au(time);
+            let light = irradiance(sun.elevation_rad, distance_au, place.height_m, LINKE_TURBIDITY);
             out.diffuse_wh_m2 += light.diffuse_w_m2 * hours;
             let direction = sun.direction_enu();
             let beam_wh_m2 = [direction.x, direction.y, direction.z].map(|share| share * light.beam_w_m2 * hours);

@@ -5,7 +5,7 @@ use heliosplat_batch::plan::RUN;
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_products::dsm::Dsm;
 use heliosplat_products::export::{Mosaic, MosaicTile};
-use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, bounded};
+use heliosplat_raster::{GeoRaster, RasterFile, bounded};
 use serde::Deserialize;
 use std::path::Path;
 
@@ -60,17 +60,8 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
         ));
     }
     let file = GeoRaster::read_surface(&surface)?;
-    let crs = file.crs.ok_or_else(|| fault("dsm.tif says no coordinate system"))?;
-    let dsm = Dsm {
-        grid: GridSpec {
-            width: file.raster.width,
-            height: file.raster.height,
-            transform: file.transform,
-            crs,
-        },
-        raster: file.raster,
-        geoid: None,
-    };
+    let grid = file.grid().ok_or_else(|| fault("dsm.tif says no coordinate system"))?;
+    let dsm = Dsm::above_ellipsoid(file.raster, grid);
     let albedo = GeoRaster::read(&albedo)?.raster;
     if (albedo.width, albedo.height) != (dsm.grid.width, dsm.grid.height) {
         return Err(fault("albedo.tif is not on the grid of dsm.tif"));

@@ -5,13 +5,13 @@ use crate::view::{Layer, LightTable, Ramp};
 use heliosplat::Raster;
 use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
 use heliosplat::splat::ProjectionOptions;
+use heliosplat_raster::Window;
 use heliosplat_raster::write::{ImageSpec, write_cog};
 use heliosplat_raster::{Crs, GeoTransform, GridSpec};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_rpc::{GeoPoint, ProjectiveMap};
 use heliosplat_satellite::PlanItem;
 use heliosplat_satellite::config::SatelliteConfig;
-use heliosplat_scene::crop::Crop;
 use heliosplat_scene::{Area, BandKind, Split, SunSource, Values};
 use serde_json::json;
 
@@ -31,7 +31,7 @@ fn contents(folder: &Path) -> Contents {
             v: [0.0, 1.0, 0.0, 0.0],
             w: [0.0; 3],
         },
-        crop: Crop {
+        crop: Window {
             col0: 0,
             row0: 0,
             width: 20,
