@@ -25,9 +25,8 @@ impl Camera {
     /// Reads the camera from a text of any known format; `name` appears in error messages only.
     #[staticmethod]
     fn from_text(name: &str, text: &str) -> PyResult<Self> {
-        rpc_from_text(name, text)
-            .map(|rpc| Self { rpc })
-            .map_err(|error| raised(format!("{name}: {error}")))
+        let rpc = rpc_from_text(name, text).map_err(|error| raised(format!("{name}: {error}")))?;
+        Ok(Self { rpc })
     }
 
     /// The camera as the JSON object of rpcm and Sat-NeRF.
@@ -76,9 +75,8 @@ impl Camera {
             in_chunks(col.len(), |range| {
                 let points: Vec<ImagePoint> = range.clone().map(|i| ImagePoint::new(col[i], row[i])).collect();
                 let found = self.rpc.localise_all(&points, &height[range]).into_iter();
-                found
-                    .map(|point| point.map_or([f64::NAN; 2], |point| [point.lon_deg, point.lat_deg]))
-                    .collect()
+                let place = |point: GeoPoint| [point.lon_deg, point.lat_deg];
+                found.map(|point| point.map_or([f64::NAN; 2], place)).collect()
             })
         });
         Ok((lons.into_pyarray(py), lats.into_pyarray(py)))
@@ -102,15 +100,15 @@ fn same_length(arrays: &[&[f64]]) -> PyResult<()> {
 /// Pairs of numbers of `count` points, by threads that each write to a place of their own.
 fn in_chunks(count: usize, work: impl Fn(std::ops::Range<usize>) -> Vec<[f64; 2]> + Sync) -> (Vec<f64>, Vec<f64>) {
     let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
-    first
+    let chunks = first
         .par_chunks_mut(CHUNK)
         .zip(second.par_chunks_mut(CHUNK))
-        .enumerate()
-        .for_each(|(chunk, (first, second))| {
-            let begin = chunk * CHUNK;
-            for (place, [a, b]) in work(begin..begin + first.len()).into_iter().enumerate() {
-                (first[place], second[place]) = (a, b);
-            }
-        });
+        .enumerate();
+    chunks.for_each(|(chunk, (first, second))| {
+        let begin = chunk * CHUNK;
+        for (place, [a, b]) in work(begin..begin + first.len()).into_iter().enumerate() {
+            (first[place], second[place]) = (a, b);
+        }
+    });
     (first, second)
 }

@@ -25,25 +25,16 @@ pub(crate) fn sun_positions<'py>(
     lon_deg: PyReadonlyArray1<'py, f64>,
     height_m: PyReadonlyArray1<'py, f64>,
 ) -> PyResult<Pair<'py>> {
-    let (times, lat, lon, height) = (
-        time_us.as_slice()?,
-        lat_deg.as_slice()?,
-        lon_deg.as_slice()?,
-        height_m.as_slice()?,
-    );
+    let times = time_us.as_slice()?;
+    let (lat, lon, height) = (lat_deg.as_slice()?, lon_deg.as_slice()?, height_m.as_slice()?);
     if [lat, lon, height].iter().any(|array| array.len() != times.len()) {
         return Err(raised("the arrays of times and places have different lengths"));
     }
-    let found: Result<Vec<[f64; 2]>, jiff::Error> = py.detach(|| {
-        (0..times.len())
-            .into_par_iter()
-            .map(|i| {
-                let at = GeoPoint::new(lon[i], lat[i], height[i]);
-                let sun = sun_position(Timestamp::from_microsecond(times[i])?, at);
-                Ok([sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees()])
-            })
-            .collect()
-    });
+    let sun = |i: usize| {
+        let at = GeoPoint::new(lon[i], lat[i], height[i]);
+        Ok::<_, jiff::Error>(sun_position(Timestamp::from_microsecond(times[i])?, at).degrees())
+    };
+    let found: Result<Vec<[f64; 2]>, _> = py.detach(|| (0..times.len()).into_par_iter().map(sun).collect());
     let (azimuths, elevations): (Vec<f64>, Vec<f64>) = found.map_err(raised)?.into_iter().map(|[a, e]| (a, e)).unzip();
     Ok((azimuths.into_pyarray(py), elevations.into_pyarray(py)))
 }

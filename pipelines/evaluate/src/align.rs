@@ -63,10 +63,9 @@ pub fn subpixel(truth: &Raster, prediction: &(impl Fn(f64, f64) -> Raster + Sync
     let (columns, rows) = integer_cells(truth, &prediction(0.0, 0.0));
     let (mut best, mut step) = ((columns as f64, rows as f64), 0.5);
     while step >= 1.0 / 32.0 {
-        let around: Vec<(f64, f64)> = (-1..=1)
-            .flat_map(|dr| (-1..=1).map(move |dc| (f64::from(dc), f64::from(dr))))
-            .map(|(dc, dr)| (best.0 + dc * step, best.1 + dr * step))
-            .collect();
+        let steps = [-step, 0.0, step];
+        let beside = |dr: f64| steps.map(|dc| (best.0 + dc, best.1 + dr));
+        let around: Vec<(f64, f64)> = steps.into_iter().flat_map(beside).collect();
         let score = |(columns, rows)| correlation(truth, &prediction(columns, rows), 0, 0);
         best = best_of(&around, score).unwrap_or(best);
         step /= 2.0;
@@ -76,38 +75,34 @@ pub fn subpixel(truth: &Raster, prediction: &(impl Fn(f64, f64) -> Raster + Sync
 
 /// A shift whose prediction has been moved already, completed by the remaining mean height difference.
 fn with_height(truth: &Raster, moved: &Raster, columns: f64, rows: f64) -> Shift {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for (want, got) in truth.plane(0).iter().zip(moved.plane(0)) {
-        let difference = f64::from(want - got);
-        if difference.is_finite() {
-            sum += difference;
-            count += 1;
-        }
-    }
+    let differences = truth
+        .plane(0)
+        .iter()
+        .zip(moved.plane(0))
+        .map(|(want, got)| f64::from(want - got));
+    let known = differences.filter(|difference| difference.is_finite());
+    let (sum, count) = known.fold((0.0, 0usize), |(sum, count), difference| (sum + difference, count + 1));
+    let height_m = if count > 0 { sum / count as f64 } else { 0.0 };
     Shift {
         columns,
         rows,
-        height_m: if count > 0 { sum / count as f64 } else { 0.0 },
+        height_m,
     }
 }
 
 fn integer_cells(truth: &Raster, prediction: &Raster) -> (i64, i64) {
-    if truth.width.min(truth.height) > SMALLEST_SIDE {
-        let (columns, rows) = integer_cells(&truth.downscaled(2), &prediction.downscaled(2));
-        search(truth, prediction, (2 * columns, 2 * rows))
-    } else {
-        search(truth, prediction, (0, 0))
-    }
+    let (columns, rows) = match truth.width.min(truth.height) > SMALLEST_SIDE {
+        true => integer_cells(&truth.downscaled(2), &prediction.downscaled(2)),
+        false => (0, 0),
+    };
+    search(truth, prediction, (2 * columns, 2 * rows))
 }
 
 fn search(truth: &Raster, prediction: &Raster, around: (i64, i64)) -> (i64, i64) {
-    let candidates: Vec<(i64, i64)> = (-RANGE..=RANGE)
-        .flat_map(|dr| (-RANGE..=RANGE).map(move |dc| (around.0 + dc, around.1 + dr)))
-        .collect();
-    best_of(&candidates, |(columns, rows)| {
-        correlation(truth, prediction, columns, rows)
-    })
-    .unwrap_or(around)
+    let beside = |dr: i64| (-RANGE..=RANGE).map(move |dc| (around.0 + dc, around.1 + dr));
+    let candidates: Vec<(i64, i64)> = (-RANGE..=RANGE).flat_map(beside).collect();
+    let score = |(columns, rows)| correlation(truth, prediction, columns, rows);
+    best_of(&candidates, score).unwrap_or(around)
 }
 
 /// The candidate of highest score; the first of equals, so that the result does not depend on threads.

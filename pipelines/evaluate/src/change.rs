@@ -44,12 +44,13 @@ pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, Evalua
     let placement = Placement::new(&found, &truth)?;
     let size = (truth.raster.width, truth.raster.height);
     let [width_m, height_m] = truth.transform.cell_m(size, truth.crs.as_ref());
-    let days =
-        (found.raster.bands > 1 && truth.raster.bands > 1).then(|| (placement.nearest_band(1), truth.raster.plane(1)));
-    let days = days.as_ref().map(|(found, truth)| (found.plane(0), *truth));
+    let has_days = found.raster.bands > 1 && truth.raster.bands > 1;
+    let found_days = has_days.then(|| placement.nearest_band(1));
+    let days = found_days.as_ref().map(|found| (found.plane(0), truth.raster.plane(1)));
+    let found = placement.moved(0.0, 0.0);
     Ok(score(
-        truth.raster.width,
-        placement.moved(0.0, 0.0).plane(0),
+        size.0,
+        found.plane(0),
         truth.raster.plane(0),
         days,
         width_m * height_m,
@@ -128,16 +129,10 @@ fn segments(width: usize, difference_m: &[f32], cell_m2: f64) -> (Vec<bool>, usi
                 cell.checked_sub(width),
                 Some(cell + width).filter(|&below| below < difference_m.len()),
             ];
-            for near in sides
-                .into_iter()
-                .flatten()
-                .filter(|&near| difference_m[near].abs() >= LEAST_M)
-            {
-                let alike = difference_m[near].signum() == difference_m[start].signum();
-                if alike && !std::mem::replace(&mut seen[near], true) {
-                    group.push(near);
-                }
-            }
+            let sign = difference_m[start].signum();
+            let alike = |near: &usize| difference_m[*near] * sign >= LEAST_M;
+            let new = sides.into_iter().flatten().filter(alike);
+            group.extend(new.filter(|&near| !std::mem::replace(&mut seen[near], true)));
         }
         let mean_m = group.iter().map(|&cell| difference_m[cell].abs()).sum::<f32>() / group.len() as f32;
         if group.len() as f64 * cell_m2 >= SEGMENT_M2 && mean_m >= SEGMENT_M {

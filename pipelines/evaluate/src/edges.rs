@@ -51,10 +51,9 @@ pub(super) fn edges(
     let starts = std::iter::once(0.0).chain(ENDS_M);
     let ends = ENDS_M.into_iter().map(Some).chain([None]);
     let band = |(from_m, to_m): (f64, Option<f64>)| {
-        let cells: Vec<usize> = (0..wanted.len())
-            .filter(|&cell| wanted[cell] && GROUND.contains(&classes.values[cell]))
-            .filter(|&cell| distance_m[cell] >= from_m && to_m.is_none_or(|to_m| distance_m[cell] < to_m))
-            .collect();
+        let is_ground = |cell: &usize| wanted[*cell] && GROUND.contains(&classes.values[*cell]);
+        let is_near = |cell: &usize| distance_m[*cell] >= from_m && to_m.is_none_or(|to_m| distance_m[*cell] < to_m);
+        let cells: Vec<usize> = (0..wanted.len()).filter(is_ground).filter(is_near).collect();
         let statistics = statistics(cells.iter().map(|&cell| errors.values[cell]))?;
         let measured: Vec<usize> = cells.into_iter().filter(measured).collect();
         let sum: f64 = measured.iter().map(|&cell| f64::from(errors.values[cell])).sum();

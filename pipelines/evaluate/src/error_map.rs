@@ -30,9 +30,8 @@ pub fn write(path: &Path, evaluation: &DsmEvaluation) -> Result<(), RasterError>
 /// Draws errors (prediction minus truth, metres; first band), one pixel for each cell; cells without an error are grey.
 pub fn draw(errors: &Raster) -> RgbImage {
     let (width, height) = (errors.width as u32, errors.height as u32);
-    RgbImage::from_fn(width, height, |col, row| {
-        colour(errors.at(0, col as usize, row as usize))
-    })
+    let pixel = |col, row| colour(errors.at(0, col as usize, row as usize));
+    RgbImage::from_fn(width, height, pixel)
 }
 
 /// White at zero, blue below, red above: the ends of ColorBrewer's RdBu scheme.

@@ -44,14 +44,9 @@ pub fn psnr_db(mean_square_error: f64, peak: f64) -> f64 {
 
 /// Peak signal-to-noise ratio of two images with a peak of 1, dB; `None` when no pixel is known in both.
 pub fn psnr(rendered: &Raster, real: &Raster) -> Option<f64> {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for (a, b) in rendered.values.iter().zip(&real.values) {
-        let difference = f64::from(a - b);
-        if difference.is_finite() {
-            sum += difference * difference;
-            count += 1;
-        }
-    }
+    let differences = rendered.values.iter().zip(&real.values).map(|(a, b)| f64::from(a - b));
+    let known = differences.filter(|difference| difference.is_finite());
+    let (sum, count) = known.fold((0.0, 0usize), |(sum, count), d| (sum + d * d, count + 1));
     (count > 0).then(|| psnr_db(sum / count as f64, 1.0))
 }
 
@@ -65,10 +60,8 @@ pub fn ssim(rendered: &Raster, real: &Raster) -> Option<f64> {
         return None;
     }
     let kernel = gaussian_kernel(RADIUS, 1.5);
-    let bands: Vec<(f64, usize)> = (0..real.bands)
-        .into_par_iter()
-        .map(|band| ssim_of_band(rendered.plane(band), real.plane(band), width, &kernel))
-        .collect();
+    let of_band = |band| ssim_of_band(rendered.plane(band), real.plane(band), width, &kernel);
+    let bands: Vec<(f64, usize)> = (0..real.bands).into_par_iter().map(of_band).collect();
     let (sum, count) = bands
         .iter()
         .fold((0.0, 0), |(sum, count), band| (sum + band.0, count + band.1));
@@ -117,11 +110,8 @@ fn smoothed(value: &dyn Fn(usize) -> f64, width: usize, height: usize, kernel: &
     for row in 0..height {
         let line: Vec<f64> = (0..width).map(|col| value(row * width + col)).collect();
         for col in 0..inner {
-            across[row * inner + col] = kernel
-                .iter()
-                .zip(&line[col..])
-                .map(|(weight, value)| weight * value)
-                .sum();
+            let products = kernel.iter().zip(&line[col..]).map(|(weight, value)| weight * value);
+            across[row * inner + col] = products.sum();
         }
     }
     let rows = height + 1 - kernel.len();

@@ -113,12 +113,10 @@ impl DsmEvaluation {
     /// `seen` has one flag for each cell of the truth's grid.
     pub fn count_seen_unknown(&mut self, seen: &[bool]) {
         let cells = seen.iter().zip(&self.wanted).zip(self.errors.plane(0));
-        let (mut all, mut unknown) = (0usize, 0usize);
-        for ((_, _), error) in cells.filter(|((seen, wanted), _)| **seen && **wanted) {
-            all += 1;
-            unknown += usize::from(error.is_nan());
-        }
-        self.metrics.seen_unknown = (all > 0).then(|| unknown as f64 / all as f64);
+        let cells = cells.filter(|((seen, wanted), _)| **seen && **wanted);
+        let errors: Vec<&f32> = cells.map(|(_, error)| error).collect();
+        let unknown = errors.iter().filter(|error| error.is_nan()).count();
+        self.metrics.seen_unknown = (!errors.is_empty()).then(|| unknown as f64 / errors.len() as f64);
     }
 }
 
@@ -150,10 +148,9 @@ pub fn evaluate_raster(
     let mut warnings = Vec::new();
     let truth = truth::read(truth_path, prediction, &mut warnings)?;
     check_vertical(prediction_path, prediction, truth_path, &truth, protocol, &mut warnings)?;
-    let classes = match classes_path {
-        Some(path) => Some(truth::read_classes(path, &truth.raster)?),
-        None => None,
-    };
+    let classes = classes_path
+        .map(|path| truth::read_classes(path, &truth.raster))
+        .transpose()?;
     let size = (truth.raster.width, truth.raster.height);
     let [width_m, height_m] = truth.transform.cell_m(size, truth.crs.as_ref());
     let gsd_m = (width_m * height_m).sqrt();
@@ -163,16 +160,11 @@ pub fn evaluate_raster(
         return Err(EvaluateError::Apart(prediction_path.to_owned(), truth_path.to_owned()));
     };
     let wanted = wanted_cells(&truth.raster, classes.as_ref(), protocol);
-    let mut metrics = DsmMetrics::new(
-        &errors,
-        &wanted,
-        classes.as_ref(),
-        protocol,
-        shift.metres(&truth.transform, size, truth.crs.as_ref()),
-    );
-    metrics.uncertainty = prediction
-        .band(dsm_bands::STANDARD_DEVIATION)
-        .and_then(|band| Uncertainty::of(&errors, &placement.moved_band(band, shift.columns, shift.rows)));
+    let shift_m = shift.metres(&truth.transform, size, truth.crs.as_ref());
+    let mut metrics = DsmMetrics::new(&errors, &wanted, classes.as_ref(), protocol, shift_m);
+    let deviations = |band| placement.moved_band(band, shift.columns, shift.rows);
+    let deviations = prediction.band(dsm_bands::STANDARD_DEVIATION).map(deviations);
+    metrics.uncertainty = deviations.and_then(|deviations| Uncertainty::of(&errors, &deviations));
     metrics.outside_truth_m = metrics::outside_truth(&errors, &wanted, &truth.raster);
     metrics.edges = edges::edges(&errors, &wanted, &truth.raster, classes.as_ref(), gsd_m);
     Ok(DsmEvaluation {
@@ -218,20 +210,16 @@ fn register(
             *error = moved.values[index] + shift.height_m as f32 - truth.values[index];
         }
     }
-    errors
-        .values
-        .iter()
-        .any(|error| error.is_finite())
-        .then_some((errors, shift))
+    let is_known = errors.values.iter().any(|error| error.is_finite());
+    is_known.then_some((errors, shift))
 }
 
 /// True for cells in which a complete prediction has a value.
 fn wanted_cells(truth: &Raster, classes: Option<&Raster>, protocol: Protocol) -> Vec<bool> {
     let is_water = |index: usize| classes.is_some_and(|classes| classes.values[index] == WATER);
-    let known = truth.plane(0).iter().enumerate();
-    known
-        .map(|(index, value)| value.is_finite() && !(protocol.excludes_water() && is_water(index)))
-        .collect()
+    let is_wanted =
+        |(index, value): (usize, &f32)| value.is_finite() && !(protocol.excludes_water() && is_water(index));
+    truth.plane(0).iter().enumerate().map(is_wanted).collect()
 }
 
 fn check_vertical(
@@ -257,10 +245,9 @@ fn check_vertical(
             crs.name()
         )));
     }
+    let (path, name) = (path.display(), crs.name());
     warnings.push(format!(
-        "{}: its heights are in {}; the mean difference is removed by the protocol",
-        path.display(),
-        crs.name()
+        "{path}: its heights are in {name}; the mean difference is removed by the protocol"
     ));
     Ok(())
 }

@@ -71,14 +71,8 @@ impl DsmMetrics {
         protocol: Protocol,
         shift_m: [f64; 3],
     ) -> Self {
-        let all = statistics(
-            errors
-                .plane(0)
-                .iter()
-                .zip(wanted)
-                .filter(|(_, wanted)| **wanted)
-                .map(|(error, _)| *error),
-        );
+        let cells = errors.plane(0).iter().zip(wanted).filter(|(_, wanted)| **wanted);
+        let all = statistics(cells.map(|(error, _)| *error));
         let mut by_name: BTreeMap<String, Vec<f32>> = BTreeMap::new();
         if let Some(classes) = classes {
             let cells = classes.plane(0).iter().zip(errors.plane(0)).zip(wanted);
@@ -93,10 +87,8 @@ impl DsmMetrics {
             let static_cells = cells.filter(|((class, _), wanted)| **wanted && GROUND_AND_BUILDINGS.contains(class));
             statistics(static_cells.map(|((_, error), _)| *error))
         });
-        let by_class = by_name
-            .into_iter()
-            .filter_map(|(name, errors)| Some((name, statistics(errors.into_iter())?)))
-            .collect();
+        let of_class = |(name, errors): (String, Vec<f32>)| Some((name, statistics(errors.into_iter())?));
+        let by_class = by_name.into_iter().filter_map(of_class).collect();
         Self {
             all: all.unwrap_or(HeightErrors {
                 mae_m: f64::NAN,
@@ -144,14 +136,8 @@ pub(super) fn outside_truth(errors: &Raster, wanted: &[bool], truth: &Raster) ->
 
 /// Statistics of the errors of the wanted cells, `NaN` where there is no prediction; `None` when none is measured.
 pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErrors> {
-    let mut count = 0usize;
-    let mut errors: Vec<f64> = Vec::new();
-    for error in wanted {
-        count += 1;
-        if error.is_finite() {
-            errors.push(f64::from(error));
-        }
-    }
+    let all: Vec<f64> = wanted.map(f64::from).collect();
+    let errors: Vec<f64> = all.iter().copied().filter(|error| error.is_finite()).collect();
     if errors.is_empty() {
         return None;
     }
@@ -164,7 +150,7 @@ pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErro
         within_1m: absolute.iter().filter(|error| **error <= 1.0).count() as f64 / measured,
         median_m: median(&mut absolute)?,
         nmad_m: nmad(&errors)?,
-        completeness: measured / count as f64,
+        completeness: measured / all.len() as f64,
     })
 }
 

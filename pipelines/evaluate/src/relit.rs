@@ -65,9 +65,8 @@ pub struct RelitScores {
 pub fn score_relit(pairs: &[RelitPair]) -> Option<RelitScores> {
     let bands = pairs.first()?.truth.bands;
     let peak = pairs.iter().filter_map(|pair| peak_of(pair.truth)).reduce(f64::max)?;
-    let gains: Vec<[f64; 2]> = (0..bands)
-        .map(|band| LineFit::through(pairs.iter().map(|pair| (pair, band))))
-        .collect::<Option<_>>()?;
+    let gains = (0..bands).map(|band| line_through(pairs.iter().map(|pair| (pair, band))));
+    let gains: Vec<[f64; 2]> = gains.collect::<Option<_>>()?;
     let scores = pairs.iter().map(|pair| score_one(pair, &gains, peak));
     let suns: Vec<RelitScore> = scores.collect::<Option<_>>()?;
     Some(RelitScores {
@@ -84,9 +83,8 @@ fn peak_of(truth: &Raster) -> Option<f64> {
 }
 
 fn score_one(pair: &RelitPair, gains: &[[f64; 2]], peak: f64) -> Option<RelitScore> {
-    let own: Vec<[f64; 2]> = (0..gains.len())
-        .map(|band| LineFit::through(std::iter::once((pair, band))))
-        .collect::<Option<_>>()?;
+    let own = (0..gains.len()).map(|band| line_through(std::iter::once((pair, band))));
+    let own: Vec<[f64; 2]> = own.collect::<Option<_>>()?;
     let (one, own) = (Difference::of(pair, gains)?, Difference::of(pair, &own)?);
     let lit = Raster {
         values: pair.our_shadow.values.iter().map(|shadow| 1.0 - shadow).collect(),
@@ -110,31 +108,26 @@ fn known<'a>(pair: &'a RelitPair, band: usize) -> impl Iterator<Item = (f64, f64
     both.map(|(&ours, &truth)| (f64::from(ours), f64::from(truth)))
 }
 
-/// A straight line by least squares.
-struct LineFit;
-
-impl LineFit {
-    /// Gain and offset through one band of some pairs. Where the prediction is constant, the gain is zero and the
-    /// offset the truth's mean.
-    fn through<'a>(bands: impl Iterator<Item = (&'a RelitPair<'a>, usize)> + Clone) -> Option<[f64; 2]> {
-        let values = || bands.clone().flat_map(|(pair, band)| known(pair, band));
-        let (mut count, mut sums) = (0.0, [0.0; 2]);
-        for (ours, truth) in values() {
-            count += 1.0;
-            sums = [sums[0] + ours, sums[1] + truth];
-        }
-        if count == 0.0 {
-            return None;
-        }
-        let [ours_mean, truth_mean] = sums.map(|sum| sum / count);
-        let (mut variance, mut covariance) = (0.0, 0.0);
-        for (ours, truth) in values() {
-            variance += (ours - ours_mean).powi(2);
-            covariance += (ours - ours_mean) * (truth - truth_mean);
-        }
-        let gain = if variance > 0.0 { covariance / variance } else { 0.0 };
-        Some([gain, truth_mean - gain * ours_mean])
+/// Gain and offset through one band of some pairs. Where the prediction is constant, the gain is zero and the
+/// offset the truth's mean.
+fn line_through<'a>(bands: impl Iterator<Item = (&'a RelitPair<'a>, usize)> + Clone) -> Option<[f64; 2]> {
+    let values = || bands.clone().flat_map(|(pair, band)| known(pair, band));
+    let (mut count, mut sums) = (0.0, [0.0; 2]);
+    for (ours, truth) in values() {
+        count += 1.0;
+        sums = [sums[0] + ours, sums[1] + truth];
     }
+    if count == 0.0 {
+        return None;
+    }
+    let [ours_mean, truth_mean] = sums.map(|sum| sum / count);
+    let (mut variance, mut covariance) = (0.0, 0.0);
+    for (ours, truth) in values() {
+        variance += (ours - ours_mean).powi(2);
+        covariance += (ours - ours_mean) * (truth - truth_mean);
+    }
+    let gain = if variance > 0.0 { covariance / variance } else { 0.0 };
+    Some([gain, truth_mean - gain * ours_mean])
 }
 
 /// Difference of prediction and truth after a gain and an offset per band.

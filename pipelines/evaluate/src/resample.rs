@@ -68,16 +68,13 @@ impl<'a> Placement<'a> {
         });
         out
     }
-}
-
-impl Placement<'_> {
     /// A band of the source on the target's grid, the nearest cell's value, `NaN` where there is none.
     pub fn nearest_band(&self, band: usize) -> Raster {
         let mut out = Raster::filled(self.width, self.height, 1, f32::NAN);
+        let inside = |at: f64, count: usize| (0.0..count as f64).contains(&at);
         for (value, [col, row]) in out.values.iter_mut().zip(&self.positions) {
             let (col, row) = (col.round(), row.round());
-            let inside = col >= 0.0 && row >= 0.0 && col < self.source.width as f64 && row < self.source.height as f64;
-            if inside {
+            if inside(col, self.source.width) && inside(row, self.source.height) {
                 *value = self.source.at(band, col as usize, row as usize);
             }
         }

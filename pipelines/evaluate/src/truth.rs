@@ -25,9 +25,9 @@ pub(super) fn read(
         None => (placed_by_text(path, &raster)?, utm_zone(prediction)),
     };
     if crs.is_none() {
+        let path = path.display();
         warnings.push(format!(
-            "{}: has no coordinate system; that of the prediction is assumed",
-            path.display()
+            "{path}: has no coordinate system; that of the prediction is assumed"
         ));
     }
     Ok(GeoRaster {
@@ -48,13 +48,10 @@ pub(super) fn read_classes(path: &Path, truth: &Raster) -> Result<Raster, Evalua
     if (classes.width, classes.height) == (truth.width, truth.height) {
         return Ok(classes);
     }
+    let (path, width, height) = (path.display(), classes.width, classes.height);
     Err(EvaluateError::Refused(format!(
-        "{}: {} x {} pixels, but the truth has {} x {}; classes must lie on the truth's grid",
-        path.display(),
-        classes.width,
-        classes.height,
-        truth.width,
-        truth.height
+        "{path}: {width} x {height} pixels, but the truth has {} x {}; classes must lie on the truth's grid",
+        truth.width, truth.height
     )))
 }
 

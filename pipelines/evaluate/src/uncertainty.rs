@@ -103,10 +103,8 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     let mut ranks = vec![0.0; values.len()];
     let mut first = 0;
     while first < order.len() {
-        let same = order[first..]
-            .iter()
-            .take_while(|&&i| values[i] == values[order[first]])
-            .count();
+        let is_same = |i: &&usize| values[**i] == values[order[first]];
+        let same = order[first..].iter().take_while(is_same).count();
         for &i in &order[first..first + same] {
             ranks[i] = first as f64 + 0.5 * (same - 1) as f64;
         }

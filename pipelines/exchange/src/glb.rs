@@ -143,10 +143,9 @@ impl Builder {
 pub fn bounds(places: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
     let start = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     places.iter().fold(start, |(low, high), place| {
-        (
-            std::array::from_fn(|k| low[k].min(place[k])),
-            std::array::from_fn(|k| high[k].max(place[k])),
-        )
+        let bound = |k| (f32::min(low[k], place[k]), f32::max(high[k], place[k]));
+        let [x, y, z] = [0, 1, 2].map(bound);
+        ([x.0, y.0, z.0], [x.1, y.1, z.1])
     })
 }
 

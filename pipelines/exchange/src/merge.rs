@@ -36,8 +36,7 @@ fn area(scale: Vec3) -> f32 {
 
 /// Splat with the moments of `parts`; where they overlap it grows, to standard deviations of `widest_m` metres at most.
 fn mixture<'a>(parts: impl ExactSizeIterator<Item = &'a Splat> + Clone, widest_m: f32) -> Splat {
-    let only = parts.clone().next().filter(|_| parts.len() == 1);
-    if let Some(only) = only {
+    if let (1, Some(only)) = (parts.len(), parts.clone().next()) {
         return *only;
     }
     let weight = |splat: &Splat| splat.opacity * area(splat.scale).max(f32::MIN_POSITIVE);
@@ -84,9 +83,9 @@ fn axes(covariance: Mat3) -> (Vec3, Quat) {
         eigenvalues,
         eigenvectors,
     } = matrix.symmetric_eigen();
-    let column = |k: usize| Vec3::new(eigenvectors[(0, k)], eigenvectors[(1, k)], eigenvectors[(2, k)]);
+    let column = |k: usize| Vec3::from(<[f32; 3]>::from(eigenvectors.column(k).into_owned()));
     let turn = Mat3::from_cols(column(0), column(1), column(0).cross(column(1)));
-    let scale = Vec3::new(eigenvalues[0], eigenvalues[1], eigenvalues[2]).max(Vec3::ZERO);
+    let scale = Vec3::from(<[f32; 3]>::from(eigenvalues)).max(Vec3::ZERO);
     let scale = Vec3::from(scale.to_array().map(f32::sqrt)).max(Vec3::splat(THINNEST_M));
     (scale, Quat::from_mat3(&turn).normalize())
 }

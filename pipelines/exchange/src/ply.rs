@@ -62,22 +62,16 @@ impl<'a> Rows<'a> {
         if !header.starts_with(FORMAT) {
             return Err("it is not a binary little-endian PLY".into());
         }
-        let count: usize = header
-            .lines()
-            .find_map(|line| line.strip_prefix("element vertex "))
-            .and_then(|n| n.trim().parse().ok())
-            .ok_or("it does not state its number of Gaussians")?;
-        let columns = header
-            .lines()
-            .filter_map(|line| line.strip_prefix("property "))
-            .map(|property| property.strip_prefix("float ").map(str::trim))
-            .collect::<Option<Vec<_>>>()
-            .ok_or("it has properties that are not floats")?;
-        if count.checked_mul(columns.len() * size_of::<f32>()) != Some(values.len()) {
-            return Err(format!(
-                "it claims {count} Gaussians but holds {} bytes of them",
-                values.len()
-            ));
+        let count = header.lines().find_map(|line| line.strip_prefix("element vertex "));
+        let count = count.and_then(|count| count.trim().parse::<usize>().ok());
+        let count = count.ok_or("it does not state its number of Gaussians")?;
+        let properties = header.lines().filter_map(|line| line.strip_prefix("property "));
+        let columns = properties.map(|property| property.strip_prefix("float ").map(str::trim));
+        let columns: Option<Vec<_>> = columns.collect();
+        let columns = columns.ok_or("it has properties that are not floats")?;
+        let bytes = values.len();
+        if count.checked_mul(columns.len() * size_of::<f32>()) != Some(bytes) {
+            return Err(format!("it claims {count} Gaussians but holds {bytes} bytes of them"));
         }
         Ok(Self { count, columns, values })
     }

@@ -26,10 +26,8 @@ fn columns(specs: &[GroupSpec], shown: bool) -> Vec<Column> {
     for (k, axis) in ["x", "y", "z"].into_iter().enumerate() {
         add(axis.into(), POSITION, k);
     }
-    let harmonics = specs[FEATURES..]
-        .iter()
-        .take_while(|g| g.name.starts_with(HARMONICS))
-        .count();
+    let features = specs[FEATURES..].iter();
+    let harmonics = features.take_while(|group| group.name.starts_with(HARMONICS)).count();
     for k in 0..3 * usize::from(shown) {
         add(format!("f_dc_{k}"), SHOWN, k);
     }

@@ -33,10 +33,8 @@ const TURN_MAX: f32 = 511.0;
 pub fn encode(splats: &[Splat]) -> Vec<u8> {
     let reach = splats.iter().map(|s| f64::from(s.position.abs().max_element()));
     let reach = reach.fold(0.0, f64::max);
-    let bits = (0..=FRACTIONAL_BITS)
-        .rev()
-        .find(|&bits| reach * f64::from(1u32 << bits) <= PLACE_MAX);
-    let bits = bits.unwrap_or(0);
+    let fits = |bits: &u32| reach * f64::from(1u32 << bits) <= PLACE_MAX;
+    let bits = (0..=FRACTIONAL_BITS).rev().find(fits).unwrap_or(0);
     let mut raw = Vec::with_capacity(16 + 20 * splats.len());
     for number in [MAGIC, VERSION, splats.len() as u32] {
         raw.extend(number.to_le_bytes());
@@ -70,13 +68,14 @@ fn byte(value: f32) -> u8 {
 /// Packed unit quaternion (x, y, z, w): the index of the largest component, which is made positive, then the other
 /// three, each a sign and nine bits of its share of `sqrt(1/2)`.
 fn turn(rotation: [f32; 4]) -> u32 {
-    let largest = (1..4).fold(0, |best, i| {
+    let larger = |best: usize, i: usize| {
         if rotation[i].abs() > rotation[best].abs() {
             i
         } else {
             best
         }
-    });
+    };
+    let largest = (1..4).fold(0, larger);
     let flipped = rotation[largest] < 0.0;
     let mut packed = largest as u32;
     for (i, &component) in rotation.iter().enumerate() {

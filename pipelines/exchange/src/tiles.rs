@@ -58,19 +58,28 @@ impl Tile {
 
     /// Entry of the tile in a `tileset.json`, with its volume again for a projected system: the boxes
     /// of both are in the frame of the tiles.
+    /// Adds a child, and grows by it.
+    pub fn add(&mut self, child: Self) {
+        self.include(child.low, child.high);
+        self.children.push(child);
+    }
+
+    fn include(&mut self, low: [f64; 3], high: [f64; 3]) {
+        for k in 0..3 {
+            self.low[k] = self.low[k].min(low[k]);
+            self.high[k] = self.high[k].max(high[k]);
+        }
+    }
+
     fn value(&self) -> Value {
         let middle = |k: usize| 0.5 * (self.low[k] + self.high[k]);
         // No box is flat.
         let half = |k: usize| (0.5 * (self.high[k] - self.low[k])).max(0.01);
-        let volume = [
-            [middle(0), middle(1), middle(2)],
-            [half(0), 0.0, 0.0],
-            [0.0, half(1), 0.0],
-            [0.0, 0.0, half(2)],
-        ];
+        let ([x, y, z], [dx, dy, dz]) = ([0, 1, 2].map(middle), [0, 1, 2].map(half));
+        let volume = [x, y, z, dx, 0.0, 0.0, 0.0, dy, 0.0, 0.0, 0.0, dz];
         let mut value = json!({
-            "boundingVolume": {"box": volume.concat()}, "geometricError": self.error_m, "content": {"uri": self.file},
-            "extensions": {ESRI_CRS: {"boundingVolume": {"box": volume.concat()}}},
+            "boundingVolume": {"box": volume}, "geometricError": self.error_m, "content": {"uri": self.file},
+            "extensions": {ESRI_CRS: {"boundingVolume": {"box": volume}}},
         });
         if !self.children.is_empty() {
             value["children"] = self.children.iter().map(Self::value).collect();
@@ -179,31 +188,19 @@ impl<E: From<TooLarge>> Tree<'_, E> {
         }
         (self.write)(&tile.file, spz::glb(&coarse)?)?;
         tile.error_m = ERROR_OF_SPLATS * f64::from(cell_m);
-        tile.include(extent(&coarse));
+        let (low, high) = extent(&coarse);
+        tile.include(low.as_dvec3().to_array(), high.as_dvec3().to_array());
         drop(coarse);
         for (quarter, part) in parts(splats).into_iter().enumerate() {
             if !part.is_empty() {
                 let child = self.grow(part, format!("{name}-{quarter}"), levels - 1, depth + 1)?;
-                tile.include((
-                    Vec3::from(child.low.map(|v| v as f32)),
-                    Vec3::from(child.high.map(|v| v as f32)),
-                ));
-                tile.children.push(child);
+                tile.add(child);
             }
         }
         // Cells below may have been widened: no child has a larger error than its parent.
         let below = tile.children.iter().map(|child| child.error_m).fold(0.0, f64::max);
         tile.error_m = tile.error_m.max(below);
         Ok(tile)
-    }
-}
-
-impl Tile {
-    fn include(&mut self, (low, high): (Vec3, Vec3)) {
-        for k in 0..3 {
-            self.low[k] = self.low[k].min(f64::from(low[k]));
-            self.high[k] = self.high[k].max(f64::from(high[k]));
-        }
     }
 }
 
@@ -221,10 +218,9 @@ fn parts(splats: Vec<Splat>) -> Vec<Vec<Splat>> {
         return vec![splats];
     }
     let places = |fold: fn(Vec3, Vec3) -> Vec3| splats.iter().map(|s| s.position).reduce(fold);
-    let middle = match (places(Vec3::min), places(Vec3::max)) {
-        (Some(low), Some(high)) => 0.5 * (low + high),
-        _ => Vec3::ZERO,
-    };
+    let middle = places(Vec3::min)
+        .zip(places(Vec3::max))
+        .map_or(Vec3::ZERO, |(low, high)| 0.5 * (low + high));
     let mut quarters = vec![Vec::new(); 4];
     for splat in splats {
         let (east, north) = (splat.position.x >= middle.x, splat.position.y >= middle.y);
