@@ -5,8 +5,9 @@ use crate::parse;
 use clap::Args;
 use heliosplat_raster::temporary::TemporaryFolder;
 use heliosplat_raster::{Crs, Geoid, RasterError, is_virtual, write_atomically};
+use heliosplat_rpc::GeoPoint;
+use heliosplat_rpc::sun::{SunPosition, sun_position};
 use heliosplat_scene::{AreaRequest, IngestOptions, RpcPreference};
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// Heading of the options about a scene.
@@ -50,21 +51,16 @@ pub fn scene_of(named: &[PathBuf], folder: &Path) -> Result<PathBuf, CliError> {
     let mut text = "# The images that were given on the command line.\n".to_owned();
     for path in named {
         if path.is_dir() {
-            return Err(CliError::Input(format!(
-                "{}: a folder among several images; give one folder, or image files alone",
-                path.display()
-            )));
+            let text = "a folder among several images; give one folder, or image files alone";
+            return Err(CliError::Input(format!("{}: {text}", path.display())));
         }
         let whole = match is_virtual(path) {
             true => path.clone(),
             false => std::fs::canonicalize(path).map_err(|_| RasterError::Missing(path.clone()))?,
         };
         // A JSON string is a valid TOML string. Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "[[images]]\npath = {}",
-            serde_json::json!(whole.to_string_lossy())
-        );
+        let quoted = serde_json::json!(whole.to_string_lossy());
+        text += &format!("[[images]]\npath = {quoted}\n");
     }
     let scene = folder.join("scene.toml");
     write_atomically(&scene, text.as_bytes())?;
@@ -82,10 +78,9 @@ pub fn map_of(verb: &str, crs: Option<&str>, geoid: Option<Geoid>) -> Result<(Op
     if let (Some(stated), Some(asked)) = (stated, geoid)
         && stated != asked
     {
+        let (stated, asked) = (stated.name(), asked.name());
         return Err(CliError::Input(format!(
-            "{verb}: --crs asks for heights above {}, --geoid for heights above {}; leave one out",
-            stated.name(),
-            asked.name()
+            "{verb}: --crs asks for heights above {stated}, --geoid for heights above {asked}; leave one out"
         )));
     }
     Ok((crs, geoid.or(stated)))
@@ -111,14 +106,14 @@ impl NamedScene {
     }
 }
 
+/// The sun that a verb is given, or that of a time at `origin`.
+pub fn sun_of(sun: Option<SunPosition>, time: Option<jiff::Timestamp>, origin: GeoPoint) -> Option<SunPosition> {
+    sun.or(time.map(|time| sun_position(time, origin)))
+}
+
 /// Latitude and longitude in degrees with their letters, as in `22.890968 S 47.027328 W`.
-pub fn place_in_words(place: heliosplat_rpc::GeoPoint) -> String {
-    let (north, east) = (place.lat_deg >= 0.0, place.lon_deg >= 0.0);
-    format!(
-        "{:.6} {} {:.6} {}",
-        place.lat_deg.abs(),
-        if north { 'N' } else { 'S' },
-        place.lon_deg.abs(),
-        if east { 'E' } else { 'W' }
-    )
+pub fn place_in_words(place: GeoPoint) -> String {
+    let north = if place.lat_deg >= 0.0 { 'N' } else { 'S' };
+    let east = if place.lon_deg >= 0.0 { 'E' } else { 'W' };
+    format!("{:.6} {north} {:.6} {east}", place.lat_deg.abs(), place.lon_deg.abs())
 }

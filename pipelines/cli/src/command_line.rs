@@ -185,10 +185,8 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
                 "--threads {threads}: give 1 to {most}; more than there are cores make it slower"
             )));
         }
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build_global()
-            .map_err(|error| CliError::Failed(format!("threads cannot be started: {error}")))?;
+        let started = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+        started.map_err(|error| CliError::Failed(format!("threads cannot be started: {error}")))?;
     }
     let session = Session::start()?.quietly(cli.quiet);
     match &cli.command {

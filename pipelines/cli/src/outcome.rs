@@ -24,6 +24,14 @@ pub struct Outcome {
     pub text: String,
 }
 
+impl Outcome {
+    /// What a verb says of its results.
+    pub fn new(text: impl Into<String>, json: serde_json::Value) -> Self {
+        let text = text.into();
+        Self { json, text }
+    }
+}
+
 /// Failure of a verb, with the message for the user.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
@@ -56,12 +64,9 @@ impl CliError {
         }
     }
 
-    fn sorted(is_input_fault: bool, message: String) -> Self {
-        if is_input_fault {
-            Self::Input(message)
-        } else {
-            Self::Failed(message)
-        }
+    pub(crate) fn sorted(is_input_fault: bool, message: String) -> Self {
+        let kind = if is_input_fault { Self::Input } else { Self::Failed };
+        kind(message)
     }
 }
 

@@ -41,16 +41,13 @@ impl Inputs {
     /// # Errors
     /// [`CliError::Input`] for such an output.
     pub fn keep(&self, out: &Path) -> Result<(), CliError> {
-        let Some(same) =
-            identity(out).and_then(|id| self.files.iter().find(|file| identity(file).as_ref() == Some(&id)))
-        else {
+        let same_as = |id| self.files.iter().find(|file| identity(file).as_ref() == Some(&id));
+        let Some(same) = identity(out).and_then(same_as) else {
             return Ok(());
         };
-        Err(CliError::Input(format!(
-            "{}: this would replace {}, which the command reads; give another --out",
-            out.display(),
-            same.display()
-        )))
+        let (out, same) = (out.display(), same.display());
+        let text = format!("{out}: this would replace {same}, which the command reads; give another --out");
+        Err(CliError::Input(text))
     }
 
     /// Refuses a surface model if one of its files is an input.
@@ -107,10 +104,9 @@ pub fn must_end_in(option: &str, path: &Path, formats: &[&str]) -> Result<(), Cl
     if formats.iter().any(|format| extension.eq_ignore_ascii_case(format)) {
         return Ok(());
     }
+    let (path, endings) = (path.display(), formats.join(" or ."));
     Err(CliError::Input(format!(
-        "{option} {}: give it a name that ends in .{}",
-        path.display(),
-        formats.join(" or .")
+        "{option} {path}: give it a name that ends in .{endings}"
     )))
 }
 

@@ -55,11 +55,8 @@ pub fn triple(text: &str) -> Result<[f64; 3], String> {
 pub fn numbers(text: &str) -> Result<Vec<f64>, String> {
     let number = |word: &str| {
         let value: f64 = word.trim().parse().map_err(|_| format!("'{word}' is not a number"))?;
-        if value.is_finite() {
-            Ok(value)
-        } else {
-            Err(format!("'{word}' is not a finite number"))
-        }
+        let finite = Some(value).filter(|value| value.is_finite());
+        finite.ok_or_else(|| format!("'{word}' is not a finite number"))
     };
     text.split(',').map(number).collect()
 }
@@ -94,8 +91,8 @@ pub fn key_value(text: &str) -> Result<(String, String), String> {
 /// # Errors
 /// Message for the user with the expected form.
 pub fn time(text: &str) -> Result<jiff::Timestamp, String> {
-    text.parse()
-        .map_err(|_| "expected a time such as 2016-04-23T08:34:00Z".to_owned())
+    let wrong = |_| "expected a time such as 2016-04-23T08:34:00Z".to_owned();
+    text.parse().map_err(wrong)
 }
 
 /// Parses a date such as `2026-06-21`.

@@ -50,8 +50,6 @@ pub(crate) fn run(args: &AdjustArgs, session: &Session) -> Result<Outcome, CliEr
     let adjusted = adjust_scene(&scene, &request, session)?;
     let picture = residuals::picture(&adjusted.vectors());
     write_atomically(&args.out.join("adjustment.svg"), picture.as_bytes())?;
-    Ok(Outcome {
-        json: adjusted.json(),
-        text: adjusted.text() + &format!("written to {}\n", args.out.display()),
-    })
+    let text = adjusted.text() + &format!("written to {}\n", args.out.display());
+    Ok(Outcome::new(text, adjusted.json()))
 }

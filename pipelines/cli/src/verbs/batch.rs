@@ -10,8 +10,7 @@ use heliosplat_batch::summary;
 use heliosplat_batch::unit::do_unit;
 use heliosplat_pages::summary::{Row, State, json as json_of, table};
 use heliosplat_session::Session;
-use serde_json::{Value, json};
-use std::fmt::Write;
+use serde_json::json;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -77,26 +76,23 @@ pub(crate) fn run(args: &BatchArgs, threads: Option<usize>, session: &Session) -
     };
     let rows = batch.run(session)?;
     let outcome = finish(args, &plan, &rows)?;
-    let failed: Vec<&str> = rows
-        .iter()
-        .filter(|row| row.state.is_lost())
-        .map(|row| row.unit.as_str())
-        .collect();
+    let lost = rows.iter().filter(|row| row.state.is_lost());
+    let failed: Vec<&str> = lost.map(|row| row.unit.as_str()).collect();
     if session.stopped() && rows.iter().any(|row| row.state == State::Pending) {
-        return Err(CliError::Interrupted(
-            "stopped; what is finished is kept, and trainings have their checkpoints: the same command goes on".into(),
-        ));
+        let text = "stopped; what is finished is kept, and trainings have their checkpoints: the same command goes on";
+        return Err(CliError::Interrupted(text.into()));
     }
     if failed.is_empty() {
         return Ok(outcome);
     }
-    Err(CliError::Failed(format!(
-        "{} of {} units are not done ({}); {} says why, the same command tries them again",
-        failed.len(),
-        rows.len(),
-        failed.join(", "),
-        args.out.join("summary.html").display()
-    )))
+    let (count, all, names) = (failed.len(), rows.len(), failed.join(", "));
+    let share = format!("{count} of {all} units are not done ({names})");
+    let page = args.out.join("summary.html");
+    let told = format!(
+        "{share}; {} says why, the same command tries them again",
+        page.display()
+    );
+    Err(CliError::Failed(told))
 }
 
 fn only(args: &BatchArgs, id: &str, session: &Session) -> Result<Outcome, CliError> {
@@ -104,10 +100,8 @@ fn only(args: &BatchArgs, id: &str, session: &Session) -> Result<Outcome, CliErr
     let unit = units.unit(id)?;
     let (stamp, before) = do_unit(&units, &unit, &args.out, args.checkpoint_every, session)?;
     let how = if before { "finished before" } else { "done" };
-    Ok(Outcome {
-        text: format!("{id}: {how}, {:.1} s", stamp.seconds),
-        json: serde_json::to_value(&stamp).unwrap_or_default(),
-    })
+    let text = format!("{id}: {how}, {:.1} s", stamp.seconds);
+    Ok(Outcome::new(text, serde_json::to_value(&stamp).unwrap_or_default()))
 }
 
 /// Outcome of `--plan` and `--dry-run`: the units with their memory, time and state.
@@ -123,36 +117,23 @@ fn planned(args: &BatchArgs, plan: &Plan) -> Outcome {
             (false, None) => "to do",
         };
         // Writing to a String cannot fail.
-        let _ = match unit.refusal() {
-            Some(reason) => writeln!(text, "refused   {}: {reason}", unit.id),
-            None => writeln!(
-                text,
-                "{what:<8}  {}  ({} MiB, {} s)",
-                unit.id, unit.mem_mb, unit.runtime_s
-            ),
+        let (id, mem_mb, runtime_s) = (&unit.id, unit.mem_mb, unit.runtime_s);
+        text += &match unit.refusal() {
+            Some(reason) => format!("refused   {id}: {reason}\n"),
+            None => format!("{what:<8}  {id}  ({mem_mb} MiB, {runtime_s} s)\n"),
         };
         let mut told = serde_json::to_value(unit).unwrap_or_default();
-        if let Value::Object(map) = &mut told {
-            map.insert("done".into(), json!(done));
-            map.insert("other_build".into(), json!(other));
-            map.insert("stamp".into(), json!(format!("{}/{}", unit.id, STAMP)));
-        }
+        told["done"] = json!(done);
+        told["other_build"] = json!(other);
+        told["stamp"] = json!(format!("{id}/{STAMP}"));
         units.push(told);
     }
-    Outcome {
-        text,
-        json: json!({"units": units}),
-    }
+    Outcome::new(text, json!({"units": units}))
 }
 
 fn finish(args: &BatchArgs, plan: &Plan, rows: &[Row]) -> Result<Outcome, CliError> {
     summary::write(rows, plan, &args.out)?;
-    Ok(Outcome {
-        text: format!(
-            "{}summary        {}",
-            table(rows),
-            args.out.join("summary.html").display()
-        ),
-        json: json_of(rows),
-    })
+    let page = args.out.join("summary.html");
+    let text = format!("{}summary        {}", table(rows), page.display());
+    Ok(Outcome::new(text, json_of(rows)))
 }

@@ -44,17 +44,12 @@ fn camera_rates() -> (f64, f64) {
     let rpc = Rpc::example();
     let fraction = |i: usize, step: f64| (i as f64 * step).fract();
     let ground = |i: usize| {
-        GeoPoint::new(
-            36.88 + 0.06 * fraction(i, 0.618_033_988_7),
-            37.56 + 0.04 * fraction(i, 0.754_877_666_2),
-            500.0 + 400.0 * fraction(i, 0.569_840_290_9),
-        )
+        let [x, y, z] = [0.618_033_988_7, 0.754_877_666_2, 0.569_840_290_9].map(|step| fraction(i, step));
+        GeoPoint::new(36.88 + 0.06 * x, 37.56 + 0.04 * y, 500.0 + 400.0 * z)
     };
     let image = |i: usize| {
-        ImagePoint::new(
-            16_000.0 * fraction(i, 0.618_033_988_7),
-            16_000.0 * fraction(i, 0.754_877_666_2),
-        )
+        let [x, y] = [0.618_033_988_7, 0.754_877_666_2].map(|step| fraction(i, step));
+        ImagePoint::new(16_000.0 * x, 16_000.0 * y)
     };
     let ground: Vec<GeoPoint> = (0..POINTS).map(ground).collect();
     let image: Vec<ImagePoint> = (0..POINTS).map(image).collect();
@@ -63,9 +58,8 @@ fn camera_rates() -> (f64, f64) {
         seconds(|| -> Vec<Vec<ImagePoint>> { ground.par_chunks(BLOCK).map(|block| rpc.project_all(block)).collect() });
     let localise = seconds(|| -> Vec<Vec<Option<GeoPoint>>> {
         let blocks = image.par_chunks(BLOCK).zip(level.par_chunks(BLOCK));
-        blocks
-            .map(|(points, heights)| rpc.localise_all(points, heights))
-            .collect()
+        let localised = blocks.map(|(points, heights)| rpc.localise_all(points, heights));
+        localised.collect()
     });
     (POINTS as f64 / project, POINTS as f64 / localise)
 }
@@ -133,5 +127,5 @@ pub(crate) fn run() -> Result<Outcome, CliError> {
         project / 1e6,
         localise / 1e6,
     );
-    Ok(Outcome { json, text })
+    Ok(Outcome::new(text, json))
 }

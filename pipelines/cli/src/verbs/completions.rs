@@ -22,8 +22,6 @@ pub(crate) fn run(args: &CompletionsArgs, mut command: Command) -> Result<Outcom
     clap_complete::generate(args.shell, &mut command, name, &mut script);
     let text = String::from_utf8(script)
         .map_err(|error| CliError::Failed(format!("the script for {} is not UTF-8: {error}", args.shell)))?;
-    Ok(Outcome {
-        json: serde_json::json!({ "shell": args.shell.to_string(), "script": text }),
-        text,
-    })
+    let json = serde_json::json!({ "shell": args.shell.to_string(), "script": text });
+    Ok(Outcome::new(text, json))
 }

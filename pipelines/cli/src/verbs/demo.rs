@@ -1,5 +1,6 @@
 //! `heliosplat demo`: synthesises a site, trains on it, and writes its surface model.
 
+use super::synth;
 use crate::outcome::{CliError, Outcome};
 use clap::Args;
 use heliosplat_fitting::request::{Earlier, TrainOutcome, TrainRequest};
@@ -39,12 +40,7 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
         seed: args.seed,
         ..Default::default()
     };
-    let progress = session.progress("synthesise", 100);
-    heliosplat_synth::write_satellite(&request, &scene_folder, &|done, total| {
-        progress.set((100 * done / total.max(1)) as u64);
-    })
-    .map_err(|error| CliError::Failed(error.to_string()))?;
-    drop(progress);
+    synth::synthesise(&request, &scene_folder, session)?;
     let begun = Instant::now();
     let ingest = IngestOptions::default();
     let scene = Scene::open(&scene_folder, &ingest)?;
@@ -62,19 +58,13 @@ pub(crate) fn demo(args: &DemoArgs, session: &Session) -> Result<Outcome, CliErr
     run.ending.check(&run_folder)?;
     let metrics = run.metrics;
     let evening = SunPosition::from_degrees(250.0, 20.0);
-    relight::Viewpoint::new(&run.model, "nadir")?
-        .relit(&evening)?
-        .write(&args.out.join("evening.png"))?;
-    let mae = metrics
-        .pointer("/dsm/mae_m")
-        .and_then(serde_json::Value::as_f64)
-        .unwrap_or(f64::NAN);
+    let relit = relight::Viewpoint::new(&run.model, "nadir")?.relit(&evening)?;
+    relit.write(&args.out.join("evening.png"))?;
+    let mae = metrics["dsm"]["mae_m"].as_f64().unwrap_or(f64::NAN);
     let folder = args.out.display();
-    Ok(Outcome {
-        text: format!(
-            "{}\nreport         {folder}/run/report.html   (open it in a browser)\nDSM            {folder}/run/dsm.tif   (open it in QGIS)\npicture        {folder}/run/dsm.png\nerrors         {folder}/run/error.png\nanother sun    {folder}/evening.png\nany sun        {folder}/run/sun.html   (open it in a browser)\nmean absolute error against truth: {mae:.3} m (protocol raw)",
-            measure::summary(&metrics)
-        ),
-        json: metrics,
-    })
+    let text = format!(
+        "{}\nreport         {folder}/run/report.html   (open it in a browser)\nDSM            {folder}/run/dsm.tif   (open it in QGIS)\npicture        {folder}/run/dsm.png\nerrors         {folder}/run/error.png\nanother sun    {folder}/evening.png\nany sun        {folder}/run/sun.html   (open it in a browser)\nmean absolute error against truth: {mae:.3} m (protocol raw)",
+        measure::summary(&metrics)
+    );
+    Ok(Outcome::new(text, metrics))
 }

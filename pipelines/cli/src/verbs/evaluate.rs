@@ -35,8 +35,6 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<Outcome, CliError> {
         tracing::warn!("{warning}");
     }
     write_pictures(args, &evaluation)?;
-    Ok(Outcome {
-        json: serde_json::json!({ "dsm": evaluation.metrics }),
-        text: table(&evaluation.metrics),
-    })
+    let text = table(&evaluation.metrics);
+    Ok(Outcome::new(text, serde_json::json!({ "dsm": evaluation.metrics })))
 }

@@ -48,10 +48,9 @@ pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result
     }
     if let Some(path) = &args.calibration {
         let Some(uncertainty) = &evaluation.metrics.uncertainty else {
-            return Err(CliError::Input(
-                "evaluate: --calibration needs a DSM with a band of standard deviations, as `heliosplat dsm` writes it"
-                    .into(),
-            ));
+            let text =
+                "evaluate: --calibration needs a DSM with a band of standard deviations, as `heliosplat dsm` writes it";
+            return Err(CliError::Input(text.into()));
         };
         write_atomically(path, calibration::draw(uncertainty, |chart| chart.file()).as_bytes())?;
     }
@@ -60,10 +59,8 @@ pub fn write_pictures(args: &EvaluateArgs, evaluation: &DsmEvaluation) -> Result
 
 /// Formats metrics as a table for a terminal: errors in total, by class and by distance from walls, and uncertainty.
 pub fn table(metrics: &DsmMetrics) -> String {
-    let mut text = format!(
-        "protocol {}   shift east {:.2} north {:.2} up {:.2} m\n",
-        metrics.protocol, metrics.shift_m[0], metrics.shift_m[1], metrics.shift_m[2]
-    );
+    let (protocol, [east, north, up]) = (&metrics.protocol, metrics.shift_m);
+    let mut text = format!("protocol {protocol}   shift east {east:.2} north {north:.2} up {up:.2} m\n");
     text.push_str("class          MAE m   RMSE m  median m   NMAD m  within 1 m  beyond 5 m  complete\n");
     let mut line = |name: &str, errors: &HeightErrors| {
         // Writing to a String cannot fail.
@@ -92,13 +89,9 @@ pub fn table(metrics: &DsmMetrics) -> String {
             None => format!("{} m and more", edge.from_m),
         };
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "ground {distance:<23} MAE {:>6.3} m, mean {:>+6.3} m, {:>4.1} % of the error",
-            edge.errors.mae_m,
-            edge.mean_m,
-            100.0 * edge.share_of_error
-        );
+        let (mae_m, mean_m, share) = (edge.errors.mae_m, edge.mean_m, 100.0 * edge.share_of_error);
+        text +=
+            &format!("ground {distance:<23} MAE {mae_m:>6.3} m, mean {mean_m:>+6.3} m, {share:>4.1} % of the error\n");
     }
     if let Some(distance_m) = metrics.outside_truth_m {
         // Writing to a String cannot fail.

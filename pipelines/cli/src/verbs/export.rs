@@ -3,13 +3,13 @@
 mod mosaic;
 
 use super::export_args::ExportArgs;
+use crate::args::sun_of;
 use crate::outcome::{CliError, Outcome};
 use crate::outputs::{Inputs, must_end_in};
 use bytesize::ByteSize;
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_products::export::{Request, Subject, Written, write};
 use heliosplat_products::model::load;
-use heliosplat_rpc::sun::sun_position;
 use serde_json::json;
 use std::path::Path;
 
@@ -52,11 +52,7 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
     if let Some(folder) = &args.tiles {
         inputs.keep_folder(folder)?;
     }
-    let sun = match (args.sun, args.time) {
-        (Some(sun), _) => Some(sun),
-        (None, Some(time)) => Some(sun_position(time, subject.frame().origin)),
-        (None, None) => None,
-    };
+    let sun = sun_of(args.sun, args.time, subject.frame().origin);
     let request = Request {
         ply: args.ply.clone(),
         splats: args.splats.clone(),
@@ -67,10 +63,9 @@ pub(crate) fn of_satellite(args: &ExportArgs) -> Result<Outcome, CliError> {
     };
     let export = write(&subject, &request)?;
     let lines: Vec<String> = export.written.iter().map(line).collect();
-    Ok(Outcome {
-        text: lines.join("\n"),
-        json: json!({"written": export.written, "said": export.said, "gaussians": gaussians}),
-    })
+    let text = lines.join("\n");
+    let json = json!({"written": export.written, "said": export.said, "gaussians": gaussians});
+    Ok(Outcome::new(text, json))
 }
 
 /// The run or the mosaic in a folder, and the number of Gaussians of a run.
@@ -89,11 +84,9 @@ fn line(written: &Written) -> String {
         (None, Some(triangles)) => format!("{triangles} triangles"),
         (None, None) => String::new(),
     };
-    format!(
-        "{}: {content}, {} level(s) of detail, {} file(s), {}",
-        written.path.display(),
-        written.levels,
-        written.files,
-        ByteSize(written.bytes)
-    )
+    let Written {
+        path, levels, files, ..
+    } = written;
+    let (path, bytes) = (path.display(), ByteSize(written.bytes));
+    format!("{path}: {content}, {levels} level(s) of detail, {files} file(s), {bytes}")
 }

@@ -1,7 +1,7 @@
 //! `heliosplat inspect`: describes a scene, and the decisions about its model, before training.
 
 use super::object;
-use crate::args::{IngestArgs, NamedScene};
+use crate::args::{IngestArgs, NamedScene, place_in_words};
 use crate::outcome::{CliError, Outcome};
 use clap::Args;
 use heliosplat_fitting::settings::Preset;
@@ -37,9 +37,8 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     let options = args.ingest.options();
     let mut scene = altitude::open(&Index::open(scene, options.rpc)?, &options)?;
     let contradictions = adjust::findings(&scene, &SatelliteConfig::default());
-    scene
-        .warnings
-        .extend(contradictions.iter().map(|finding| finding.message.clone()));
+    let messages = contradictions.iter().map(|finding| finding.message.clone());
+    scene.warnings.extend(messages);
     scene.findings.extend(contradictions);
     let coverage = Coverage::of(&scene);
     let decisions = Decisions::of(&scene, &SatelliteConfig::default());
@@ -47,13 +46,11 @@ pub(crate) fn run(args: &InspectArgs) -> Result<Outcome, CliError> {
     let mut text = table(&scene, &coverage, &decisions.items);
     if scene.training().count() >= 2 {
         let estimates = estimates(&scene)?;
-        json["estimates"] = estimates
-            .iter()
-            .map(|(preset, e)| ((*preset).to_owned(), json!(e)))
-            .collect();
+        let named = estimates.iter().map(|(preset, e)| ((*preset).to_owned(), json!(e)));
+        json["estimates"] = named.collect();
         text += &estimates_table(&estimates);
     }
-    Ok(Outcome { json, text })
+    Ok(Outcome::new(text, json))
 }
 
 /// Estimated cost of a training with each preset.
@@ -75,11 +72,9 @@ fn estimates_table(estimates: &[(&str, Estimate)]) -> String {
     text
 }
 
-/// Coverage of the scene's area by training images, on a grid of points at mid altitude.
-struct Coverage {
-    /// Shares of the area that at least 1, 2, 3 … images see, 0 to 1.
-    at_least: Vec<f64>,
-}
+/// Coverage of the scene's area by training images, on a grid of points at mid altitude: shares of the
+/// area that at least 1, 2, 3 … images see, 0 to 1.
+struct Coverage(Vec<f64>);
 
 impl Coverage {
     fn of(scene: &Scene) -> Self {
@@ -95,13 +90,11 @@ impl Coverage {
             }
         }
         let share = |count: usize| count as f64 / (STEPS * STEPS) as f64;
-        Self {
-            at_least: at_least.into_iter().map(share).collect(),
-        }
+        Self(at_least.into_iter().map(share).collect())
     }
 
     fn by(&self, views: usize) -> f64 {
-        self.at_least.get(views.saturating_sub(1)).copied().unwrap_or(0.0)
+        self.0.get(views.saturating_sub(1)).copied().unwrap_or(0.0)
     }
 }
 
@@ -125,7 +118,7 @@ fn describe(scene: &Scene, coverage: &Coverage, decisions: &Decisions) -> Value 
         "area_m": scene.area,
         "gsd_m": scene.gsd_m,
         "counts_per_unit": scene.counts_per_unit,
-        "covered_by_at_least": coverage.at_least,
+        "covered_by_at_least": coverage.0,
         "truth": {
             "dsm": scene.truth.dsm,
             "classes": scene.truth.classes,
@@ -179,11 +172,8 @@ fn off_nadir_deg(image: &SceneImage) -> f64 {
 const MOST_PAIRS: usize = 15;
 
 fn pairs_table(mut pairs: Vec<ImagePair>) -> String {
-    let width = pairs
-        .iter()
-        .flat_map(|pair| [pair.a.len(), pair.b.len()])
-        .max()
-        .unwrap_or(0);
+    let lengths = pairs.iter().flat_map(|pair| [pair.a.len(), pair.b.len()]);
+    let width = lengths.max().unwrap_or(0);
     let mut text = format!("\n{:<1$}  convergence  base/height  overlap\n", "pair", 2 * width + 3);
     let left_out = pairs.len().saturating_sub(MOST_PAIRS);
     if left_out > 0 {
@@ -191,16 +181,9 @@ fn pairs_table(mut pairs: Vec<ImagePair>) -> String {
         pairs.truncate(MOST_PAIRS);
     }
     for pair in pairs {
-        // Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "{:<width$} - {:<width$}  {:>9.1}°  {:>11.3}  {:>5.0} %",
-            pair.a,
-            pair.b,
-            pair.convergence_deg,
-            pair.base_to_height,
-            100.0 * pair.overlap
-        );
+        let (a, b, angle, base) = (pair.a, pair.b, pair.convergence_deg, pair.base_to_height);
+        let overlap = 100.0 * pair.overlap;
+        text += &format!("{a:<width$} - {b:<width$}  {angle:>9.1}°  {base:>11.3}  {overlap:>5.0} %\n");
     }
     if left_out > 0 {
         let _ = writeln!(text, "and {left_out} of shorter base (--json lists them)");
@@ -224,11 +207,8 @@ fn values_in_words(images: &[SceneImage]) -> String {
             (None, ValueKind::Display) => "8 bits clipped at 0 or 255".to_owned(),
             (None, _) => "no gains given".to_owned(),
         };
-        format!(
-            "{} ({count} image{}, {source})",
-            values.kind.name(),
-            if *count == 1 { "" } else { "s" }
-        )
+        let (kind, plural) = (values.kind.name(), if *count == 1 { "" } else { "s" });
+        format!("{kind} ({count} image{plural}, {source})")
     });
     words.collect::<Vec<_>>().join(", ")
 }
@@ -262,38 +242,22 @@ fn images_table(images: &[SceneImage]) -> String {
 }
 
 fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
-    let origin = scene.origin();
-    let (low, high) = scene.altitude_range_m;
-    let area = scene.area;
+    let (area, (low, high)) = (scene.area, scene.altitude_range_m);
     let bands: Vec<&str> = scene.bands().iter().map(|band| band.name()).collect();
-    let mut text = String::new();
-    // Writing to a String cannot fail.
-    let mut line = |args: std::fmt::Arguments| {
-        let _ = writeln!(text, "{args}");
-    };
-    line(format_args!(
-        "satellite scene (images with RPC cameras): {}",
-        scene.source.display()
-    ));
-    line(format_args!(
-        "centre    {}, {low:.0} to {high:.0} m above the ellipsoid ({})",
-        crate::args::place_in_words(origin),
-        scene.altitude_source
-    ));
-    line(format_args!(
-        "area      {:.0} x {:.0} m seen twice; {:.0} % of it by 2 or more, {:.0} % by all {} training images",
-        area.east_m - area.west_m,
-        area.north_m - area.south_m,
-        100.0 * coverage.by(2),
-        100.0 * coverage.by(coverage.at_least.len()),
-        coverage.at_least.len()
-    ));
-    line(format_args!(
-        "bands     {} ({:.2} m per pixel)",
+    let (place, source) = (place_in_words(scene.origin()), &scene.altitude_source);
+    let (width, height, views) = (area.east_m - area.west_m, area.north_m - area.south_m, coverage.0.len());
+    let [twice, by_all] = [2, views].map(|views| 100.0 * coverage.by(views));
+    let mut text = format!(
+        "satellite scene (images with RPC cameras): {}\n\
+centre    {place}, {low:.0} to {high:.0} m above the ellipsoid ({source})\n\
+area      {width:.0} x {height:.0} m seen twice; {twice:.0} % of it by 2 or more, {by_all:.0} % by all {views} training images\n\
+bands     {} ({:.2} m per pixel)\n\
+values    {}\n",
+        scene.source.display(),
         bands.join(", "),
-        scene.gsd_m
-    ));
-    line(format_args!("values    {}", values_in_words(&scene.images)));
+        scene.gsd_m,
+        values_in_words(&scene.images)
+    );
     let masks = match scene.truth.shadows.len() {
         0 => None,
         count => Some(format!("{count} shadow masks")),
@@ -304,23 +268,21 @@ fn table(scene: &Scene, coverage: &Coverage, plan: &[PlanItem]) -> String {
         file("classes", &scene.truth.classes),
         masks,
     ];
-    if truth.iter().any(Option::is_some) {
-        line(format_args!(
-            "truth     {}",
-            truth.into_iter().flatten().collect::<Vec<_>>().join(", ")
-        ));
+    let truth: Vec<String> = truth.into_iter().flatten().collect();
+    if !truth.is_empty() {
+        text += &format!("truth     {}\n", truth.join(", "));
     }
-    line(format_args!("{}", images_table(&scene.images)));
-    line(format_args!("{}", pairs_table(scene.pairs()).trim_end()));
+    text += &images_table(&scene.images);
+    text += &format!("\n{}\n", pairs_table(scene.pairs()).trim_end());
     if !plan.is_empty() {
-        line(format_args!("\ncomponents"));
-        for item in plan {
-            let state = if item.on { "on " } else { "off" };
-            line(format_args!("  {state} {:<24} {}", item.component, item.reason));
-        }
+        text += "\ncomponents\n";
+    }
+    for item in plan {
+        let state = if item.on { "on " } else { "off" };
+        text += &format!("  {state} {:<24} {}\n", item.component, item.reason);
     }
     for warning in &scene.warnings {
-        line(format_args!("\nwarning: {warning}"));
+        text += &format!("\nwarning: {warning}\n");
     }
     text
 }

@@ -24,30 +24,21 @@ pub(crate) fn run(args: &ManArgs, command: Command) -> Result<Outcome, CliError>
     command.build();
     let mut pages = Vec::new();
     write_pages(&command, &args.out, &mut pages)?;
-    Ok(Outcome {
-        text: format!(
-            "{} pages in {}: read one with `man -l {}`",
-            pages.len(),
-            args.out.display(),
-            args.out.join("heliosplat.1").display()
-        ),
-        json: serde_json::json!({ "pages": pages }),
-    })
+    let (count, folder, first) = (pages.len(), args.out.display(), args.out.join("heliosplat.1"));
+    let text = format!("{count} pages in {folder}: read one with `man -l {}`", first.display());
+    Ok(Outcome::new(text, serde_json::json!({ "pages": pages })))
 }
 
 /// Writes the page of a command, then the pages of its verbs; appends their paths to `pages`.
 fn write_pages(command: &Command, folder: &Path, pages: &mut Vec<PathBuf>) -> Result<(), CliError> {
-    let page = Man::new(command.clone())
-        .source(concat!("heliosplat ", env!("CARGO_PKG_VERSION")))
-        .manual("User Commands");
+    let page = Man::new(command.clone()).source(concat!("heliosplat ", env!("CARGO_PKG_VERSION")));
+    let page = page.manual("User Commands");
     let path = folder.join(page.get_filename());
     let mut bytes = Vec::new();
     page.render(&mut bytes)
         .map_err(|error| CliError::Failed(format!("{}: {error}", path.display())))?;
     write_atomically(&path, &bytes)?;
     pages.push(path);
-    command
-        .get_subcommands()
-        .filter(|verb| !verb.is_hide_set())
-        .try_for_each(|verb| write_pages(verb, folder, pages))
+    let mut shown = command.get_subcommands().filter(|verb| !verb.is_hide_set());
+    shown.try_for_each(|verb| write_pages(verb, folder, pages))
 }

@@ -1,7 +1,7 @@
 //! Arguments of the verbs that satellite scenes and objects share: `train`, `dsm`, `relight`, `render`.
 
 use crate::args::IngestArgs;
-use crate::outcome::Outcome;
+use crate::outcome::{CliError, Outcome};
 use crate::parse;
 use clap::{Args, ValueEnum};
 use heliosplat_fitting::request::{Earlier, TrainRequest};
@@ -185,10 +185,8 @@ impl TrainArgs {
     /// Outcome of a training: `summary` of its metrics and its folder, followed by `before`, a remark about an earlier
     /// run.
     pub(crate) fn trained(&self, summary: &str, metrics: Value, before: &str) -> Outcome {
-        Outcome {
-            text: format!("{summary}\nrun            {}{before}", self.out.display()),
-            json: metrics,
-        }
+        let text = format!("{summary}\nrun            {}{before}", self.out.display());
+        Outcome::new(text, metrics)
     }
 }
 
@@ -203,13 +201,21 @@ pub enum RenderSplit {
     All,
 }
 
-impl RenderSplit {
-    /// True if the views of a split are rendered.
-    pub(crate) fn includes(self, split: Split) -> bool {
-        match self {
-            Self::Train => split == Split::Train,
-            Self::Test => split == Split::Test,
-            Self::All => true,
+impl RenderArgs {
+    /// The images to render, of which there is at least one.
+    pub(crate) fn of_split<'a, T>(&self, images: &'a [T], split: fn(&T) -> Split) -> Result<Vec<&'a T>, CliError> {
+        let is_chosen = |image: &&T| match self.split {
+            RenderSplit::Train => split(image) == Split::Train,
+            RenderSplit::Test => split(image) == Split::Test,
+            RenderSplit::All => true,
+        };
+        let images: Vec<&T> = images.iter().filter(is_chosen).collect();
+        let run = self.run.display();
+        match images.is_empty() {
+            true => Err(CliError::Input(format!(
+                "{run}: the run has no image of that split; try --split all"
+            ))),
+            false => Ok(images),
         }
     }
 }

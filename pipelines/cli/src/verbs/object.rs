@@ -33,12 +33,11 @@ use std::time::Instant;
 pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliError> {
     let begun = Instant::now();
     timeline::take();
+    let ingest = &args.ingest;
+    let of_scenes = [(ingest.altitude.is_some(), "altitude"), (ingest.area.is_some(), "area")];
     CliError::refuse(
         "train",
-        &[
-            (args.ingest.altitude.is_some(), "altitude"),
-            (args.ingest.area.is_some(), "area"),
-        ],
+        &of_scenes,
         "not for captures of objects; train again without it",
     )?;
     let lists = ["transforms.json", "transforms_train.json", "cameras.csv"].map(|name| args.scene.join(name));
@@ -53,9 +52,8 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         }
         TrainOutcome::Trained(mut run) => {
             let TrainedObject { model, run: of_model } = &run.model;
-            add_report(&args.out, &mut run.metrics, || {
-                report::object::of(&args.out, model, of_model)
-            })?;
+            let write = || report::object::of(&args.out, model, of_model);
+            add_report(&args.out, &mut run.metrics, write)?;
             run.ending.check(&args.out)?;
             (run.metrics, "")
         }
@@ -69,24 +67,14 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
 /// When the run cannot be used or has no such views or components, or a file cannot be written.
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let model = model::load(&args.run)?;
-    let images: Vec<_> = model
-        .file
-        .images
-        .iter()
-        .filter(|image| args.split.includes(image.split))
-        .collect();
-    if images.is_empty() {
-        let run = args.run.display();
-        return Err(CliError::Input(format!(
-            "{run}: the run has no image of that split; try --split all"
-        )));
-    }
+    let images = args.of_split(&model.file.images, |image| image.split)?;
     let parts = args.components.then(|| components(&model));
     if parts.as_ref().is_some_and(Vec::is_empty) {
-        let name = model.model.name();
-        return Err(CliError::Input(format!(
-            "--components: a model of kind {name} knows no parts of the light"
-        )));
+        let fault = format!(
+            "--components: a model of kind {} knows no parts of the light",
+            model.model.name()
+        );
+        return Err(CliError::Input(fault));
     }
     Inputs::of_run(&args.run).keep_folder(&args.out)?;
     create_folder(&args.out)?;
@@ -94,26 +82,21 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     let mut written = Vec::new();
     for (done, image) in images.iter().enumerate() {
         let Some(seen) = model.render(image) else { continue };
-        let path = args.out.join(format!("{}.png", measure::file_name(&image.name)));
-        write_png(&path, &measure::picture(&seen, &model))?;
-        written.push(json!({"image": path, "name": image.name}));
+        let path = |part: &str| args.out.join(format!("{}{part}.png", measure::file_name(&image.name)));
+        write_png(&path(""), &measure::picture(&seen, &model))?;
+        written.push(json!({"image": path(""), "name": image.name}));
         if let Some(normals) = parts.as_ref().and_then(|_| model.normals(image)) {
-            let path = args.out.join(format!("{}_normal.png", measure::file_name(&image.name)));
-            write_png(&path, &measure::normal_picture(&normals))?;
+            write_png(&path("_normal"), &measure::normal_picture(&normals))?;
         }
         for (name, shown) in parts.iter().flatten() {
-            let Some(seen) = model.render_as(&**shown, image) else {
-                continue;
-            };
-            let path = args.out.join(format!("{}_{name}.png", measure::file_name(&image.name)));
-            write_png(&path, &measure::picture(&seen, &model))?;
+            if let Some(seen) = model.render_as(&**shown, image) {
+                write_png(&path(&format!("_{name}")), &measure::picture(&seen, &model))?;
+            }
         }
         progress.set(done as u64 + 1);
     }
-    Ok(Outcome {
-        text: format!("{} views in {}", written.len(), args.out.display()),
-        json: json!({"views": written}),
-    })
+    let text = format!("{} views in {}", written.len(), args.out.display());
+    Ok(Outcome::new(text, json!({"views": written})))
 }
 
 /// Renders an object under other lights as a PNG file.
@@ -131,26 +114,19 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
             "{folder}: this model knows only the light it was photographed in; a capture with a light for every image makes one that does not"
         )));
     }
-    let mut lights: Vec<Lamp> = Vec::new();
-    let one = |light| Lamp {
-        light,
-        colour: [1.0; 3],
-    };
-    for &position in &args.light {
-        lights.push(one(Light::Point((DVec3::from(position) - model.file.centre).as_vec3())));
-    }
-    for &toward in &args.toward {
-        lights.push(one(parallel(toward)?));
-    }
+    let points = args.light.iter().map(|&position| Ok(point(&model, position)));
+    let lights: Result<Vec<Light>, CliError> = points.chain(args.toward.iter().map(|&t| parallel(t))).collect();
+    let colour = [1.0; 3];
+    let mut lights: Vec<Lamp> = lights?.into_iter().map(|light| Lamp { light, colour }).collect();
     if let Some(path) = &args.surroundings {
         let image = surroundings::read(path)?;
         lights.extend(surroundings::lamps(&image, args.samples as usize));
     }
     if lights.is_empty() {
-        return Err(CliError::Input(
-            "relight: an object takes --light X,Y,Z, --toward X,Y,Z or --surroundings FILE that is not black".into(),
-        ));
+        let text = "relight: an object takes --light X,Y,Z, --toward X,Y,Z or --surroundings FILE that is not black";
+        return Err(CliError::Input(text.into()));
     }
+    let fault = |reason: &str| CliError::Input(format!("--view {}: {reason}", args.view));
     let images = &model.file.images;
     let image = match args.view.as_str() {
         "nadir" => images.first(),
@@ -158,25 +134,16 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     };
     let image = image.ok_or_else(|| {
         let some = images.first().map_or("none", |image| image.name.as_str());
-        CliError::Input(format!(
-            "--view {}: {folder} has no image of that name; one is {some}",
-            args.view
-        ))
+        fault(&format!("{folder} has no image of that name; one is {some}"))
     })?;
     let seen = model.relit(image, &lights);
-    let seen =
-        seen.ok_or_else(|| CliError::Input(format!("--view {}: the object lies behind that camera", args.view)))?;
+    let seen = seen.ok_or_else(|| fault("the object lies behind that camera"))?;
     // Lights add up in linear values, even if the images of the capture are display values.
     write_png(&args.out, &measure::picture_of(&seen, true))?;
-    Ok(Outcome {
-        text: format!(
-            "{}: {} light(s), as {} saw it",
-            args.out.display(),
-            lights.len(),
-            image.name
-        ),
-        json: json!({"image": args.out, "lights": lights.len(), "view": image.name}),
-    })
+    let (out, count) = (args.out.display(), lights.len());
+    let text = format!("{out}: {count} light(s), as {} saw it", image.name);
+    let json = json!({"image": args.out, "lights": lights.len(), "view": image.name});
+    Ok(Outcome::new(text, json))
 }
 
 /// Writes the splats, the mesh or the model of a run for other programs.
@@ -214,15 +181,15 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
         inputs.keep_folder(folder)?;
     }
     let model = model::load(&args.run)?;
+    let fault = |reason| CliError::Input(format!("{}: {reason}", args.run.display()));
     let mut written = Vec::new();
     if let Some(path) = &args.ply {
         let light = match (args.light, args.toward) {
-            (Some(position), _) => Some(Light::Point((DVec3::from(position) - model.file.centre).as_vec3())),
+            (Some(position), _) => Some(point(&model, position)),
             (None, Some(toward)) => Some(parallel(toward)?),
             (None, None) => None,
         };
-        let splats = export::baked(&model, light)
-            .map_err(|reason| CliError::Input(format!("{}: {reason}", args.run.display())))?;
+        let splats = export::baked(&model, light).map_err(fault)?;
         export::write_splats(&splats, path)?;
         written.push(path.clone());
     }
@@ -233,32 +200,28 @@ pub(crate) fn export(args: &ExportArgs, session: &Session) -> Result<Outcome, Cl
     }
     if let Some((path, format)) = format {
         let progress = session.progress("mesh", 2 * model.file.images.len() as u64);
-        let mesh = mesh::mesh(&model, args.cells.unwrap_or(MESH_CELLS) as usize, &|done| {
-            progress.set(done)
-        })
-        .map_err(|reason| CliError::Input(format!("{}: {reason}", args.run.display())))?;
+        let cells = args.cells.unwrap_or(MESH_CELLS) as usize;
+        let mesh = mesh::mesh(&model, cells, &|done| progress.set(done)).map_err(fault)?;
         let bytes = mesh::encode(&mesh, format).map_err(|error| CliError::Input(error.to_string()))?;
         write_atomically(path, &bytes)?;
         written.push(path.clone());
     }
     let names: Vec<String> = written.iter().map(|path| path.display().to_string()).collect();
-    Ok(Outcome {
-        text: format!("{} Gaussians in {}", model.parameters.gaussians.count, names.join(", ")),
-        json: json!({"written": written, "gaussians": model.parameters.gaussians.count}),
-    })
+    let text = format!("{} Gaussians in {}", model.parameters.gaussians.count, names.join(", "));
+    let json = json!({"written": written, "gaussians": model.parameters.gaussians.count});
+    Ok(Outcome::new(text, json))
 }
 
 /// Default number of cells along the longest side of a mesh's grid.
 const MESH_CELLS: u32 = 192;
 
 fn mesh_format(path: &Path) -> Result<mesh::Format, CliError> {
-    let format = mesh::Format::of(path);
-    format.ok_or_else(|| {
-        CliError::Input(format!(
-            "--mesh {}: a name that ends in .ply or .glb says how",
-            path.display()
-        ))
-    })
+    let fault = || format!("--mesh {}: a name that ends in .ply or .glb says how", path.display());
+    mesh::Format::of(path).ok_or_else(|| CliError::Input(fault()))
+}
+
+fn point(model: &model::ObjectModel, position: [f64; 3]) -> Light {
+    Light::Point((DVec3::from(position) - model.file.centre).as_vec3())
 }
 
 fn parallel(toward: [f64; 3]) -> Result<Light, CliError> {
@@ -275,10 +238,7 @@ pub(crate) fn evaluate(folder: &Path) -> Result<Outcome, CliError> {
     let (model, run) = (model::load(folder)?, run::load_run(folder)?);
     let capture = open(&run.capture, None)?;
     let metrics = measure::metrics(&model, &capture, None)?;
-    Ok(Outcome {
-        text: measure::summary(&metrics),
-        json: metrics,
-    })
+    Ok(Outcome::new(measure::summary(&metrics), metrics))
 }
 
 /// Describes a capture: images, values, background, lights, extent, and the expected kind of model.
@@ -294,15 +254,15 @@ pub(crate) fn inspect(path: &Path) -> Result<Outcome, CliError> {
     let (train, test) = (capture.of(Split::Train).count(), capture.of(Split::Test).count());
     let encoding = capture.frames.first().map(|f| f.picture.encoding);
     let coverage = capture.has_coverage();
+    let values = match encoding {
+        Some(Encoding::Linear) => "linear (EXR)",
+        _ => "display (PNG, JPEG)",
+    };
     let text = format!(
         "a capture of an object\nmodel          {kind:?}: {kind_why}\nimages         {train} to train with, {test} held out, {} x {} pixels\nvalues         {}, {}\nbackground     {background:?}: {why}\nlights         {lights} images have a point light\ncentre         {:.4}, half size {:.4}, a pixel there is {:.5} wide",
         size[0],
         size[1],
-        if encoding == Some(Encoding::Linear) {
-            "linear (EXR)"
-        } else {
-            "display (PNG, JPEG)"
-        },
+        values,
         if coverage { "with coverage" } else { "without coverage" },
         capture.centre,
         capture.half_size,
@@ -313,5 +273,5 @@ pub(crate) fn inspect(path: &Path) -> Result<Outcome, CliError> {
         "background": background, "lights": lights, "centre": capture.centre.to_array(),
         "half_size": capture.half_size, "pixel_size": capture.pixel_size, "warnings": capture.warnings,
     });
-    Ok(Outcome { json, text })
+    Ok(Outcome::new(text, json))
 }

@@ -1,6 +1,6 @@
 //! `heliosplat products`: writes files for a GIS.
 
-use crate::args::map_of;
+use crate::args::{map_of, sun_of};
 use crate::outcome::{CliError, Outcome};
 use crate::outputs::Inputs;
 use crate::parse;
@@ -11,8 +11,7 @@ use heliosplat_products::stac;
 use heliosplat_products::sunshine::Period;
 use heliosplat_products::writer::Set;
 use heliosplat_raster::{Geoid, write_atomically};
-use heliosplat_rpc::GeoPoint;
-use heliosplat_rpc::sun::{SunPosition, sun_position};
+use heliosplat_rpc::sun::SunPosition;
 use heliosplat_session::Session;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -47,12 +46,6 @@ pub struct ProductsArgs {
     pub sun_hours: Option<Period>,
 }
 
-impl ProductsArgs {
-    fn sun(&self, origin: GeoPoint) -> Option<SunPosition> {
-        self.sun.or(self.time.map(|time| sun_position(time, origin)))
-    }
-}
-
 /// Writes the products of runs, and a STAC collection of several.
 ///
 /// # Errors
@@ -74,19 +67,10 @@ pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
     let mut text = String::new();
     for (run, id) in args.runs.iter().zip(&ids) {
         let folder = if several { out.join(id) } else { out.clone() };
-        let set = write_run(
-            args,
-            run,
-            &folder,
-            (id, several.then_some((collection.as_str(), "../collection.json"))),
-            session,
-        )?;
-        text += &format!(
-            "{}: {} files, {:.1} % of the ground known\n",
-            folder.display(),
-            set.names.len(),
-            100.0 * set.completeness
-        );
+        let part_of = several.then_some((collection.as_str(), "../collection.json"));
+        let set = write_run(args, run, &folder, (id, part_of), session)?;
+        let (path, count, share) = (folder.display(), set.names.len(), 100.0 * set.completeness);
+        text += &format!("{path}: {count} files, {share:.1} % of the ground known\n");
         items.push((id.clone(), set.item));
         files.extend(set.names.iter().map(|name| folder.join(name)));
     }
@@ -96,10 +80,7 @@ pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
         write_atomically(&path, format!("{collection:#}\n").as_bytes())?;
         files.push(path);
     }
-    Ok(Outcome {
-        text,
-        json: json!({"out": out, "files": files, "items": ids}),
-    })
+    Ok(Outcome::new(text, json!({"out": out, "files": files, "items": ids})))
 }
 
 fn write_run(
@@ -115,7 +96,7 @@ fn write_run(
         gsd_m: args.gsd,
         crs: crs.map(|crs| crs.definition().to_owned()),
         geoid,
-        sun: args.sun(model.frame.origin),
+        sun: sun_of(args.sun, args.time, model.frame.origin),
         sun_hours: args.sun_hours,
     };
     let progress = session.progress("products", set::steps(&model));
@@ -127,18 +108,11 @@ fn write_run(
 fn name(folder: &Path) -> String {
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let safe = |c: char| {
-        if c.is_ascii_alphanumeric() || "._-".contains(c) {
-            c
-        } else {
-            '_'
-        }
-    };
-    let name: String = name.chars().map(safe).collect();
-    if name.trim_matches('.').is_empty() {
-        "run".into()
-    } else {
-        name
+    let is_safe = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+    let name = name.replace(|c| !is_safe(c), "_");
+    match name.trim_matches('.') {
+        "" => "run".into(),
+        _ => name,
     }
 }
 
@@ -147,13 +121,10 @@ fn ids(runs: &[PathBuf]) -> Vec<String> {
     let mut ids: Vec<String> = Vec::new();
     for run in runs {
         let name = name(run);
-        let mut id = name.clone();
-        let mut number = 2;
-        while ids.contains(&id) {
-            id = format!("{name}_{number}");
-            number += 1;
-        }
-        ids.push(id);
+        let numbered = (2..).map(|number| format!("{name}_{number}"));
+        let mut names = std::iter::once(name.clone()).chain(numbered);
+        let free = names.find(|id| !ids.contains(id));
+        ids.extend(free);
     }
     ids
 }

@@ -2,6 +2,7 @@
 
 use crate::outcome::{CliError, Outcome};
 use clap::Args;
+use heliosplat_objects::model::is_object_run;
 use heliosplat_pages::report;
 use serde_json::json;
 use std::path::PathBuf;
@@ -19,15 +20,12 @@ pub struct ReportArgs {
 /// # Errors
 /// When the folder cannot be read, or the page cannot be written.
 pub(crate) fn run(args: &ReportArgs) -> Result<Outcome, CliError> {
-    let path = if args.run.join(heliosplat_pages::page::MOSAIC_FILE).is_file() {
-        report::mosaic::write(&args.run)?
-    } else if heliosplat_objects::model::is_object_run(&args.run) {
-        report::object::write(&args.run)?
-    } else {
-        report::write(&args.run)?
+    let is_mosaic = args.run.join(heliosplat_pages::page::MOSAIC_FILE).is_file();
+    let path = match is_object_run(&args.run) {
+        _ if is_mosaic => report::mosaic::write(&args.run)?,
+        true => report::object::write(&args.run)?,
+        false => report::write(&args.run)?,
     };
-    Ok(Outcome {
-        text: format!("{}: open it in a browser", path.display()),
-        json: json!({ "report": path }),
-    })
+    let text = format!("{}: open it in a browser", path.display());
+    Ok(Outcome::new(text, json!({ "report": path })))
 }

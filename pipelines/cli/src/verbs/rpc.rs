@@ -61,9 +61,8 @@ pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
             break;
         }
         if length as u64 == LINE_MAX {
-            return Err(fault(format!(
-                "it has {LINE_MAX} bytes or more; give three numbers a line"
-            )));
+            let reason = format!("it has {LINE_MAX} bytes or more; give three numbers a line");
+            return Err(fault(reason));
         }
         if line.trim().is_empty() {
             continue;
@@ -77,18 +76,15 @@ pub(crate) fn run(args: &RpcArgs) -> Result<Outcome, CliError> {
         points.push(point);
     }
     if let Some(first) = strange.first() {
+        let others = match strange.len() {
+            1 => String::new(),
+            count => format!(" and {} more", count - 1),
+        };
         tracing::warn!(
-            "stdin line {first}{}: far from the ground that the camera describes; lines are lon lat alt",
-            match strange.len() {
-                1 => String::new(),
-                count => format!(" and {} more", count - 1),
-            }
+            "stdin line {first}{others}: far from the ground that the camera describes; lines are lon lat alt"
         );
     }
-    Ok(Outcome {
-        json: serde_json::json!({ "points": points }),
-        text: lines.join("\n"),
-    })
+    Ok(Outcome::new(lines.join("\n"), serde_json::json!({ "points": points })))
 }
 
 /// Half widths of a camera's validity range beyond which its polynomials mean nothing.
@@ -103,17 +99,15 @@ fn is_far(rpc: &Rpc, [lon_deg, lat_deg, _]: [f64; 3]) -> bool {
 
 fn project(rpc: &Rpc, [lon_deg, lat_deg, height_m]: [f64; 3]) -> Result<[f64; 2], String> {
     let point = rpc.project(GeoPoint::new(lon_deg, lat_deg, height_m));
-    if point.col.is_finite() && point.row.is_finite() {
-        Ok([point.col, point.row])
-    } else {
-        Err("this point has no place in the image; give lon lat alt near the image".to_owned())
+    match point.col.is_finite() && point.row.is_finite() {
+        true => Ok([point.col, point.row]),
+        false => Err("this point has no place in the image; give lon lat alt near the image".to_owned()),
     }
 }
 
 fn localise(rpc: &Rpc, [col, row, height_m]: [f64; 3]) -> Result<[f64; 2], String> {
-    let ground = rpc
-        .localise(ImagePoint { col, row }, height_m)
-        .map_err(|error| error.to_string())?;
+    let ground = rpc.localise(ImagePoint { col, row }, height_m);
+    let ground = ground.map_err(|error| error.to_string())?;
     Ok([ground.lon_deg, ground.lat_deg])
 }
 

@@ -3,7 +3,7 @@
 use super::evaluate_args::{EvaluateArgs, table, write_pictures};
 use super::model_args::{DsmArgs, DsmSource, RelightArgs, RenderArgs, TrainArgs};
 use super::sweep_dsm::{self, SweptSurface};
-use crate::args::{NamedScene, map_of};
+use crate::args::{NamedScene, map_of, sun_of};
 use crate::outcome::{CliError, Outcome};
 use crate::outputs::{Inputs, must_end_in};
 use heliosplat::timeline::{self, stage};
@@ -16,7 +16,6 @@ use heliosplat_products::model::{load, load_whole};
 use heliosplat_products::{dsm, relight, views as rendered};
 use heliosplat_raster::Crs;
 use heliosplat_raster::write::{ImageSpec, SampleType, write_geotiff};
-use heliosplat_rpc::sun::sun_position;
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::error::SatelliteError;
 use heliosplat_satellite::run_file::scene_of;
@@ -54,12 +53,8 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     }
     drop(part);
     let estimate = estimate::estimate(&scene, &config);
-    tracing::info!(
-        "Preset {}: {} steps, about {:.2} GiB of memory",
-        preset.name(),
-        estimate.steps,
-        estimate.peak_bytes / f64::from(1 << 30)
-    );
+    let (name, steps, gib) = (preset.name(), estimate.steps, estimate.peak_bytes / f64::from(1 << 30));
+    tracing::info!("Preset {name}: {steps} steps, about {gib:.2} GiB of memory");
     // The surface is still unknown: the scene is refused only if one Gaussian per cell would not fit.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
     let request = args.request(preset, begun);
@@ -88,7 +83,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
         text += &format!("\nreport         {out}/{}   (open it in a browser)", report::FILE);
     }
     text += &format!("\nnext           heliosplat products {out}");
-    Ok(Outcome { text, json: metrics })
+    Ok(Outcome::new(text, metrics))
 }
 
 /// Writes the surface model of a run, or of the plane sweep of a scene, with its page.
@@ -122,12 +117,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         DsmSource::Sweep => {
             timeline::take();
             match sweep_dsm::sweep(args, (crs, geoid), session)? {
-                SweptSurface::Whole {
-                    surface,
-                    gsd_m,
-                    memory,
-                    warnings,
-                } => (*surface, gsd_m, Some((memory, warnings))),
+                SweptSurface::Whole(surface, gsd_m, said) => (*surface, gsd_m, Some(said)),
                 SweptSurface::InTiles(mut outcome) => {
                     outcome.json["timeline"] = stages();
                     return Ok(outcome);
@@ -164,19 +154,16 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
     if args.fill {
         text += &format!("\n                {:.1} % of the grid filled", 100.0 * filled);
     }
-    Ok(Outcome { text, json: said })
+    Ok(Outcome::new(text, said))
 }
 
 /// Surface model of a run, and its ground sampling distance in metres.
 fn surface_of_run(args: &DsmArgs, crs: Option<&str>) -> Result<(Dsm, f64), CliError> {
-    if args.ingest.altitude.is_some() {
-        return Err(CliError::Input(
-            "dsm: --altitude is for --from sweep; a run knows its own".into(),
-        ));
-    }
-    if args.memory.is_some() {
-        return Err(CliError::Input("dsm: --memory is for --from sweep".into()));
-    }
+    let swept = [
+        (args.ingest.altitude.is_some(), "altitude"),
+        (args.memory.is_some(), "memory"),
+    ];
+    CliError::refuse("dsm", &swept, "for --from sweep; a run knows its own")?;
     Inputs::of_run(&args.run).keep_surface(&args.out)?;
     let model = match args.date {
         Some(date) => load_whole(&args.run)?.on(as_day(date)),
@@ -199,27 +186,17 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     must_end_in("--out", &args.out, &["tif", "tiff", "png"])?;
     let model = load(&args.run)?;
     Inputs::of_run(&args.run).keep(&args.out)?;
-    let sun = match (args.sun, args.time) {
-        (Some(sun), _) => sun,
-        (None, Some(time)) => sun_position(time, model.frame.origin),
-        (None, None) => {
-            return Err(CliError::Input(
-                "relight: a satellite scene takes --sun AZ,EL or --time RFC3339".into(),
-            ));
-        }
-    };
+    let sun = sun_of(args.sun, args.time, model.frame.origin);
+    let wanted = || CliError::Input("relight: a satellite scene takes --sun AZ,EL or --time RFC3339".into());
+    let sun = sun.ok_or_else(wanted)?;
     let relit = relight::Viewpoint::new(&model, &args.view)?.relit(&sun)?;
     let mask = relit.write(&args.out)?;
     let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
-    Ok(Outcome {
-        text: format!(
-            "{} and {}: sun at azimuth {azimuth:.2}, elevation {elevation:.2}; {}",
-            args.out.display(),
-            mask.display(),
-            relit.exposure
-        ),
-        json: json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation, "exposure": relit.exposure}),
-    })
+    let (out, shadow) = (args.out.display(), mask.display());
+    let at = format!("sun at azimuth {azimuth:.2}, elevation {elevation:.2}");
+    let text = format!("{out} and {shadow}: {at}; {}", relit.exposure);
+    let json = json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation, "exposure": relit.exposure});
+    Ok(Outcome::new(text, json))
 }
 
 /// Renders the views of a run as GeoTIFFs in counts of the images, with their shadow masks.
@@ -229,18 +206,7 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
 pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, CliError> {
     let whole = load_whole(&args.run)?;
     let (model, changing) = (whole.on_last(), !whole.model.options.days.is_empty());
-    let images: Vec<_> = model
-        .file
-        .images
-        .iter()
-        .filter(|image| args.split.includes(image.split))
-        .collect();
-    if images.is_empty() {
-        return Err(CliError::Input(format!(
-            "{}: the run has no image of that split",
-            args.run.display()
-        )));
-    }
+    let images = args.of_split(&model.file.images, |image| image.split)?;
     Inputs::of_run(&args.run).keep_folder(&args.out)?;
     create_folder(&args.out)?;
     let scene = match scene_of(&args.run) {
@@ -254,18 +220,14 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
     let progress = session.progress("render", images.len() as u64);
     let mut written = Vec::new();
     for (done, image) in images.iter().enumerate() {
-        let truth = scene
-            .as_ref()
-            .and_then(|s| s.images.iter().find(|i| i.name == image.name));
-        let truth = truth.map(|i| image.crop.cut(&i.pixels));
+        let read = scene.iter().flat_map(|s| &s.images).find(|i| i.name == image.name);
+        let truth = read.map(|i| image.crop.cut(&i.pixels));
         let of_day = image.time.filter(|_| changing).map(|time| whole.on(day_of(time)));
         let view = rendered::render_view(of_day.as_ref().unwrap_or(&model), image, truth.as_ref());
         let path = args.out.join(format!("{}.tif", image.name));
         let mut counts = view.image;
-        counts
-            .values
-            .iter_mut()
-            .for_each(|v| *v *= model.file.counts_per_unit as f32);
+        let per_unit = model.file.counts_per_unit as f32;
+        counts.values.iter_mut().for_each(|v| *v *= per_unit);
         write_geotiff(&path, &ImageSpec::plain(&counts), SampleType::F32)?;
         let mask_path = if image.sun.is_some() && model.file.has_light() {
             let mask_path = args.out.join(format!("{}_shadow.tif", image.name));
@@ -280,10 +242,8 @@ pub(crate) fn render(args: &RenderArgs, session: &Session) -> Result<Outcome, Cl
         written.push(json!({"image": path, "shadow": mask_path, "name": image.name, "colour": view.colour.text()}));
         progress.set(done as u64 + 1);
     }
-    Ok(Outcome {
-        text: format!("{} views in {}", written.len(), args.out.display()),
-        json: json!({"views": written}),
-    })
+    let text = format!("{} views in {}", written.len(), args.out.display());
+    Ok(Outcome::new(text, json!({"views": written})))
 }
 
 /// Measures a run against the truth of its scene. Figures under other suns are also written to the run's metrics and
@@ -312,10 +272,7 @@ pub(crate) fn evaluate(run: &Path, args: &EvaluateArgs) -> Result<Outcome, CliEr
         text += &relit::table(measured);
         keep(run, measured)?;
     }
-    Ok(Outcome {
-        text: text + &measure::summary(&metrics),
-        json: metrics,
-    })
+    Ok(Outcome::new(text + &measure::summary(&metrics), metrics))
 }
 
 /// Writes figures under other suns to the `metrics.json` of a finished run, and updates its report.

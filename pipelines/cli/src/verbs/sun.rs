@@ -34,8 +34,7 @@ fn place(text: &str) -> Result<GeoPoint, String> {
 pub(crate) fn run(args: &SunArgs) -> Result<Outcome, CliError> {
     let sun = sun_position(args.time, args.place);
     let (azimuth_deg, elevation_deg) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
-    Ok(Outcome {
-        json: serde_json::json!({ "azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg }),
-        text: format!("{azimuth_deg:.9} {elevation_deg:.9}"),
-    })
+    let text = format!("{azimuth_deg:.9} {elevation_deg:.9}");
+    let json = serde_json::json!({ "azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg });
+    Ok(Outcome::new(text, json))
 }

@@ -22,17 +22,9 @@ const SHARE_OF_MEMORY: f64 = 0.5;
 
 /// Surface model of a sweep, in memory or written.
 pub(super) enum SweptSurface {
-    /// In memory.
-    Whole {
-        /// Surface model, heights above the ellipsoid.
-        surface: Box<Dsm>,
-        /// Width of a cell, metres.
-        gsd_m: f64,
-        /// Limit, plan and peak of the sweep's memory, bytes, for `--json`.
-        memory: Value,
-        /// Warnings about the scene, one line each.
-        warnings: Vec<String>,
-    },
+    /// In memory: the surface model, heights above the ellipsoid, the width of a cell, metres, and for `--json` the
+    /// limit, plan and peak of the sweep's memory, bytes, and the warnings about the scene, one line each.
+    Whole(Box<Dsm>, f64, (Value, Vec<String>)),
     /// Written in tiles; the outcome of the verb.
     InTiles(Outcome),
 }
@@ -65,12 +57,8 @@ pub(super) fn sweep(
     let _part = stage("products");
     let gsd_m = args.gsd.unwrap_or(scene.gsd_m);
     let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, crs)?;
-    Ok(SweptSurface::Whole {
-        surface: Box::new(surface),
-        gsd_m,
-        memory: memory_of(limit, &plan),
-        warnings: scene.warnings,
-    })
+    let said = (memory_of(limit, &plan), scene.warnings);
+    Ok(SweptSurface::Whole(Box::new(surface), gsd_m, said))
 }
 
 fn share_of_memory() -> Option<u64> {
@@ -101,18 +89,13 @@ fn in_tiles(
         // A wider altitude range needs more memory: the scene still does not fit as a whole.
         let Some(tiling) = &plan.tiling else { break };
         if args.fill {
-            return Err(CliError::Input(
-                "dsm: --fill looks at all of a surface model at once, and this one does not fit into the memory allowed; give \
-                 more --memory, or leave --fill out"
-                    .into(),
-            ));
+            let text = "dsm: --fill looks at all of a surface model at once, and this one does not fit into the memory \
+allowed; give more --memory, or leave --fill out";
+            return Err(CliError::Input(text.into()));
         }
         let (rows, columns) = tiling.size;
-        tracing::info!(
-            "swept in {} tiles ({rows} x {columns}) of at most {:.2} GiB",
-            tiling.tiles.len(),
-            plan.peak_bytes / f64::from(1 << 30)
-        );
+        let (count, gib) = (tiling.tiles.len(), plan.peak_bytes / f64::from(1 << 30));
+        tracing::info!("swept in {count} tiles ({rows} x {columns}) of at most {gib:.2} GiB");
         let tiled = TiledSweep {
             config,
             survey: &survey,
@@ -121,10 +104,8 @@ fn in_tiles(
             geoid,
         };
         let written = tiled.write(&args.out, session)?;
-        match written
-            .wider_m
-            .filter(|_| options.altitude_from_ties_m.is_some() && round < MOST_ROUNDS)
-        {
+        let may_widen = options.altitude_from_ties_m.is_some() && round < MOST_ROUNDS;
+        match written.wider_m.filter(|_| may_widen) {
             Some(range_m) => {
                 tracing::info!("searched again from {:.0} to {:.0} m", range_m.0, range_m.1);
                 options.altitude_from_ties_m = Some(range_m);
@@ -152,17 +133,14 @@ fn outcome_of(
     }
     let gsd_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
     let (width, height) = (grid.width, grid.height);
-    Ok(Outcome {
-        text: format!(
-            "{}: {width} x {height} cells of {gsd_m} m, {crs}, {:.1} % known, in {tiles} tiles",
-            args.out.display(),
-            100.0 * completeness,
-        ),
-        json: json!({
-            "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": completeness,
-            "filled": 0.0, "tiles": tiles, "memory": memory, "warnings": survey.warnings
-        }),
-    })
+    let (out, share) = (args.out.display(), 100.0 * completeness);
+    let cells = format!("{out}: {width} x {height} cells of {gsd_m} m, {crs}");
+    let text = format!("{cells}, {share:.1} % known, in {tiles} tiles");
+    let json = json!({
+        "dsm": args.out, "width": width, "height": height, "gsd_m": gsd_m, "crs": crs, "completeness": completeness,
+        "filled": 0.0, "tiles": tiles, "memory": memory, "warnings": survey.warnings
+    });
+    Ok(Outcome::new(text, json))
 }
 
 /// Error for a surface model without known heights.

@@ -1,5 +1,6 @@
 //! `heliosplat synth`: scenes with known truth.
 
+use crate::args::place_in_words;
 use crate::outcome::{CliError, Outcome};
 use crate::parse;
 use clap::{Args, ValueEnum};
@@ -136,10 +137,7 @@ impl SynthArgs {
 
 impl From<SynthError> for CliError {
     fn from(error: SynthError) -> Self {
-        match &error {
-            SynthError::BadRequest(_) => Self::Input(error.to_string()),
-            _ => Self::Failed(error.to_string()),
-        }
+        Self::sorted(matches!(error, SynthError::BadRequest(_)), error.to_string())
     }
 }
 
@@ -154,12 +152,7 @@ pub(crate) fn run(args: &SynthArgs, session: &Session) -> Result<Outcome, CliErr
         Kind::Olat => return object(&args.object(Capture::Olat), &args.out, session),
         Kind::Reflective => return object(&args.object(Capture::Reflective), &args.out, session),
     };
-    let json = serde_json::to_value(&summary)
-        .map_err(|error| CliError::Failed(format!("the summary cannot be written: {error}")))?;
-    Ok(Outcome {
-        json,
-        text: table(&summary, &args.out),
-    })
+    Ok(Outcome::new(table(&summary, &args.out), serde_json::json!(summary)))
 }
 
 /// Makes a satellite scene, with a progress bar.
@@ -180,31 +173,24 @@ pub fn synthesise(request: &SatelliteRequest, out: &Path, session: &Session) -> 
 fn object(request: &ObjectRequest, out: &Path, session: &Session) -> Result<Outcome, CliError> {
     let bar = session.progress("synthesise", (request.training() + request.testing()) as u64);
     let summary = write_object(request, out, &|done, _| bar.set(done as u64))?;
-    Ok(Outcome {
-        text: format!(
-            "{}: {} images to train with, {} held out ({} under lamps far from those of training), {} pixels wide, {:.0} % covered, noise of the held-out images {:.1} dB",
-            out.display(),
-            summary.train,
-            summary.test,
-            summary.far,
-            summary.size_px,
-            100.0 * summary.coverage,
-            summary.noise_floor_db
-        ),
-        json: serde_json::json!(summary),
-    })
+    let text = format!(
+        "{}: {} images to train with, {} held out ({} under lamps far from those of training), {} pixels wide, {:.0} % covered, noise of the held-out images {:.1} dB",
+        out.display(),
+        summary.train,
+        summary.test,
+        summary.far,
+        summary.size_px,
+        100.0 * summary.coverage,
+        summary.noise_floor_db
+    );
+    Ok(Outcome::new(text, serde_json::json!(summary)))
 }
 
 fn table(summary: &Summary, out: &Path) -> String {
-    let mut text = format!(
-        "{}: {} images of {}, altitudes {:.1} to {:.1} m, truth in {}\n",
-        out.display(),
-        summary.images.len(),
-        crate::args::place_in_words(summary.origin),
-        summary.altitude_range_m[0],
-        summary.altitude_range_m[1],
-        out.join("truth").display()
-    );
+    let (place, [low, high]) = (place_in_words(summary.origin), summary.altitude_range_m);
+    let (images, folder) = (summary.images.len(), out.display());
+    let mut text = format!("{folder}: {images} images of {place}, altitudes {low:.1} to {high:.1} m, ");
+    text += &format!("truth in {}\n", out.join("truth").display());
     for image in &summary.images {
         // Writing to a String cannot fail.
         let _ = write!(

@@ -47,20 +47,12 @@ pub(crate) fn run(args: &ViewArgs, json: bool) -> Result<Outcome, CliError> {
     let written = view::write(&exhibit, args.out.as_ref().unwrap_or(&beside))?;
     let opened = args.out.is_none() && !json && open(&written.path);
     let (width, height) = written.size;
-    Ok(Outcome {
-        text: format!(
-            "{}: {width} x {height} cells{}, {:.2} MB; {}",
-            written.path.display(),
-            if width * height < cells { " (averaged)" } else { "" },
-            written.bytes as f64 / 1e6,
-            if opened {
-                "opened in the browser"
-            } else {
-                "open it in a browser"
-            },
-        ),
-        json: json!({"page": written.path, "bytes": written.bytes, "width": width, "height": height}),
-    })
+    let averaged = if width * height < cells { " (averaged)" } else { "" };
+    let next = if opened { "opened in the" } else { "open it in a" };
+    let (page, megabytes) = (written.path.display(), written.bytes as f64 / 1e6);
+    let text = format!("{page}: {width} x {height} cells{averaged}, {megabytes:.2} MB; {next} browser");
+    let json = json!({"page": written.path, "bytes": written.bytes, "width": width, "height": height});
+    Ok(Outcome::new(text, json))
 }
 
 /// Opens a file in the user's browser; returns true on success.

@@ -42,22 +42,20 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
     let told: MosaicFile =
         serde_json::from_str(&text).map_err(|error| fault(&format!("{MOSAIC_FILE} is damaged ({error})")))?;
     if let Some(block) = told.blocks.first() {
-        return Err(fault(&format!(
-            "the mosaic consists of blocks; name the folder of one, such as ../{block}"
-        )));
+        let text = format!("the mosaic consists of blocks; name the folder of one, such as ../{block}");
+        return Err(fault(&text));
     }
     let albedo = folder.join("albedo.tif");
     if !albedo.is_file() {
-        return Err(fault(
-            "the mosaic has no albedo.tif; leave products.dsm_only out and run the batch again",
-        ));
+        let text = "the mosaic has no albedo.tif; leave products.dsm_only out and run the batch again";
+        return Err(fault(text));
     }
     let surface = folder.join("dsm.tif");
     let datum = RasterFile::open(&surface)?.domain("").remove("VERTICAL_DATUM");
     if datum.is_some_and(|datum| !datum.contains("ellipsoid")) {
-        return Err(fault(
-            "its heights are above a geoid; products.globe = true in the manifest writes the tiles with the mosaic",
-        ));
+        let text =
+            "its heights are above a geoid; products.globe = true in the manifest writes the tiles with the mosaic";
+        return Err(fault(text));
     }
     let file = GeoRaster::read_surface(&surface)?;
     let grid = file.grid().ok_or_else(|| fault("dsm.tif says no coordinate system"))?;
