@@ -4,7 +4,7 @@ use super::entry::ImageEntry;
 use super::files::Folders;
 use super::names::file_name;
 use super::sidecars::describing_texts;
-use super::{ImageSun, SceneError};
+use super::{ImageSun, Result};
 use heliosplat_raster::RasterFile;
 use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::read::acquisition::{self, Acquisition};
@@ -19,7 +19,7 @@ const LOW_SUN_DEG: f64 = 5.0;
 
 /// Acquisition time and sun angles of an image; precedence: `scene.toml`, a Sat-NeRF JSON, texts beside the image,
 /// GDAL's metadata domains.
-pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> Result<Acquisition, SceneError> {
+pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> Result<Acquisition> {
     let stated = entry.said.as_ref().map(|said| Acquisition {
         time: said.time,
         sun_azimuth_deg: said.sun_azimuth_deg,

@@ -1,7 +1,7 @@
 //! Altitude range of a scene: stated by the user or the files, estimated from tie points, or the validity range of the
 //! cameras.
 
-use super::SceneError;
+use super::{Result, SceneError};
 
 /// Source of an altitude range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -60,11 +60,7 @@ const EARTH_M: (f64, f64) = (-500.0, 9000.0);
 
 /// Altitude range of a scene, from the first source that exists: the user, `scene.toml`, the union of the JSON files,
 /// the tie points, and, with a warning, the common validity range of the RPCs.
-pub(super) fn choose(
-    said: StatedAltitudes,
-    stated: &[Stated],
-    warnings: &mut Vec<String>,
-) -> Result<AltitudeRange, SceneError> {
+pub(super) fn choose(said: StatedAltitudes, stated: &[Stated], warnings: &mut Vec<String>) -> Result<AltitudeRange> {
     let from_json = stated.iter().filter_map(|image| image.json_m);
     let from_json = from_json.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
     let sources = [
@@ -93,12 +89,13 @@ pub(super) fn choose(
 
 /// Common validity range of all RPCs, metres; empty (lowest above highest) where the RPCs contradict each other.
 pub(super) fn valid_for_all(stated: &[Stated]) -> (f64, f64) {
-    stated.iter().fold(EARTH_M, |range, image| {
-        (range.0.max(image.rpc_m.0), range.1.min(image.rpc_m.1))
+    let ranges = stated.iter().map(|image| image.rpc_m);
+    ranges.fold(EARTH_M, |range, of_image| {
+        (range.0.max(of_image.0), range.1.min(of_image.1))
     })
 }
 
-fn checked((low_m, high_m): (f64, f64), source: AltitudeSource, origin: &str) -> Result<AltitudeRange, SceneError> {
+fn checked((low_m, high_m): (f64, f64), source: AltitudeSource, origin: &str) -> Result<AltitudeRange> {
     // NaN fails this test too.
     let words = origin.to_owned();
     match low_m < high_m && low_m >= EARTH_M.0 - 500.0 && high_m <= EARTH_M.1 + 500.0 {

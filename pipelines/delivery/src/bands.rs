@@ -4,7 +4,7 @@
 use super::files::Folders;
 use super::names::{has_extension, stem};
 use super::sidecars::belonging_texts;
-use super::{BandKind, SceneError};
+use super::{BandKind, Result, SceneError};
 use heliosplat_raster::{BandInfo, Colour, RasterFile};
 use heliosplat_rpc::read::calibration::CalibratedBand;
 use serde::Serialize;
@@ -24,11 +24,7 @@ pub struct BandPlan {
 }
 
 /// Kinds of the bands of a file. `declared`, one kind per file band, takes precedence over the file and its metadata.
-pub(super) fn plan(
-    file: &RasterFile,
-    declared: Option<&[BandKind]>,
-    folders: &Folders,
-) -> Result<BandPlan, SceneError> {
+pub(super) fn plan(file: &RasterFile, declared: Option<&[BandKind]>, folders: &Folders) -> Result<BandPlan> {
     if file.bands.iter().any(|band| band.colour == Colour::Palette) {
         return Err(SceneError::Palette(file.path().to_owned()));
     }
@@ -112,7 +108,7 @@ fn sensor_by_name(name: &str) -> Option<Sensor> {
 }
 
 /// Band kinds of a file from the DIMAP beside it (`Raster_Index_List`): Pleiades, SPOT and Pleiades Neo.
-fn dimap_order(file: &RasterFile, folders: &Folders) -> Result<Option<Vec<BandKind>>, SceneError> {
+fn dimap_order(file: &RasterFile, folders: &Folders) -> Result<Option<Vec<BandKind>>> {
     for path in belonging_texts(file.path(), folders)? {
         if has_extension(&path, &["xml"])
             && let Some(order) = order_in_dimap(&folders.text(&path)?)
@@ -162,9 +158,8 @@ fn from_infos(bands: &[BandInfo], order: Option<&[BandKind]>) -> BandPlan {
     let has_rgb = [Red, Green, Blue].iter().all(|kind| coloured.contains(kind));
     // Red, green, blue and one band of unknown colour: the fourth band of all satellites is near infrared.
     if has_rgb && data.len() <= 4 {
-        let kinds = coloured
-            .iter()
-            .map(|&kind| if kind == Other { NearInfrared } else { kind });
+        let coloured = coloured.iter();
+        let kinds = coloured.map(|&kind| if kind == Other { NearInfrared } else { kind });
         let kinds: Vec<BandKind> = kinds.collect();
         return ordered(&kinds, &data, alpha, None);
     }
@@ -195,10 +190,9 @@ fn ordered(kinds: &[BandKind], files: &[usize], alpha: Option<usize>, assumption
     use BandKind::{Blue, Green, NearInfrared, Red};
     let find = |wanted: BandKind| kinds.iter().position(|&kind| kind == wanted);
     let has_rgb = [Red, Green, Blue].into_iter().all(|kind| find(kind).is_some());
-    let picked: Vec<usize> = if has_rgb {
-        [Red, Green, Blue, NearInfrared].into_iter().filter_map(find).collect()
-    } else {
-        (0..kinds.len()).collect()
+    let picked: Vec<usize> = match has_rgb {
+        true => [Red, Green, Blue, NearInfrared].into_iter().filter_map(find).collect(),
+        false => (0..kinds.len()).collect(),
     };
     BandPlan {
         file_bands: picked.iter().map(|&index| files[index]).collect(),
@@ -217,10 +211,8 @@ fn from_description(description: &str) -> BandKind {
     if let Some((_, kind)) = letters.iter().find(|(letter, _)| *letter == text) {
         return *kind;
     }
-    if ["nir2", "rededge", "coastal", "yellow", "deepblue", "swir"]
-        .into_iter()
-        .any(has)
-    {
+    let mut unlike = ["nir2", "rededge", "coastal", "yellow", "deepblue", "swir"].into_iter();
+    if unlike.any(has) {
         return Other;
     }
     let parts = [
@@ -231,10 +223,8 @@ fn from_description(description: &str) -> BandKind {
         ("green", Green),
         ("blue", Blue),
     ];
-    parts
-        .iter()
-        .find(|(part, _)| has(part))
-        .map_or(Other, |(_, kind)| *kind)
+    let part = parts.iter().find(|(part, _)| has(part));
+    part.map_or(Other, |(_, kind)| *kind)
 }
 
 fn from_colour(colour: Colour) -> BandKind {

@@ -1,6 +1,6 @@
 //! Calibration of pixel values in the metadata: gains or a display curve.
 
-use super::SceneError;
+use super::Result;
 use super::entry::ImageEntry;
 use super::files::Folders;
 use super::names::file_name;
@@ -20,11 +20,7 @@ pub struct FoundRadiometry {
 }
 
 /// Calibration of an image from the first source that contains one: texts that describe the image, then the image file.
-pub(super) fn find(
-    file: &RasterFile,
-    entry: &ImageEntry,
-    folders: &Folders,
-) -> Result<Option<FoundRadiometry>, SceneError> {
+pub(super) fn find(file: &RasterFile, entry: &ImageEntry, folders: &Folders) -> Result<Option<FoundRadiometry>> {
     for path in describing_texts(entry, file.path(), folders)? {
         if let Some(radiometry) = calibration::from_text(&folders.text(&path)?) {
             let source = file_name(&path);
@@ -42,12 +38,10 @@ fn in_image(file: &RasterFile) -> Option<Radiometry> {
     let described = || calibration::from_text(file.domain("").get("TIFFTAG_IMAGEDESCRIPTION")?);
     let scales = || {
         let bands = file.bands.iter();
-        let said: Vec<_> = bands
-            .map(|band| (band.scale, band.offset, band.unit.as_str()))
-            .collect();
+        let said = bands.map(|band| (band.scale, band.offset, band.unit.as_str()));
+        let said: Vec<_> = said.collect();
         Calibration::of_bands(&said)
     };
-    described()
-        .or_else(|| calibration::gdal_domain(&file.domain("IMD")))
-        .or_else(scales)
+    let found = described().or_else(|| calibration::gdal_domain(&file.domain("IMD")));
+    found.or_else(scales)
 }

@@ -4,7 +4,7 @@ use super::entry::ImageEntry;
 use super::files::Folders;
 use super::names::{file_name, folder_of};
 use super::sidecars::belonging_texts;
-use super::{RpcPreference, SceneError};
+use super::{Result, RpcPreference, SceneError};
 use heliosplat_raster::{Crs, GeoTransform, RasterFile};
 use heliosplat_rpc::{ImagePoint, Rpc, read};
 use std::collections::BTreeMap;
@@ -54,7 +54,7 @@ pub(super) fn find(
     preference: RpcPreference,
     folders: &Folders,
     warnings: &mut Vec<String>,
-) -> Result<Cameras, SceneError> {
+) -> Result<Cameras> {
     if let Some(path) = entry.said.as_ref().and_then(|said| said.rpc.as_ref()) {
         let (used, others, unread) = (from_text_file(path, folders)?, Vec::new(), Vec::new());
         return Ok(Cameras { used, others, unread });
@@ -112,7 +112,7 @@ pub(super) fn map_frame(file: &RasterFile) -> Option<(GeoTransform, Crs)> {
 ///
 /// # Errors
 /// [`SceneError::BadRpc`] when the file contains no camera.
-pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCamera, SceneError> {
+pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCamera> {
     let (source, kind) = (file_name(path), Kind::Sidecar);
     let rpc = read::rpc_from_text(&source, &folders.text(path)?);
     let rpc = rpc.map_err(|error| SceneError::BadRpc(path.to_owned(), error.to_string()))?;
@@ -123,7 +123,7 @@ pub(super) fn from_text_file(path: &Path, folders: &Folders) -> Result<FoundCame
 type Readable = (Vec<FoundCamera>, Vec<(PathBuf, String)>);
 
 /// Cameras from the files beside an image and from its tag, in pixels of the image file.
-fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result<Readable, SceneError> {
+fn of_files(file: &RasterFile, json: Option<&Path>, folders: &Folders) -> Result<Readable> {
     let (mut found, mut unread) = (Vec::new(), Vec::new());
     let mut take = |rpc: Result<Rpc, read::ReadError>, path: &Path, source: String, kind: Kind| match rpc {
         Ok(rpc) => found.push(in_own_pixels(file, FoundCamera { rpc, source, kind })),
@@ -162,7 +162,7 @@ fn is_camera_file(name: &str) -> bool {
 }
 
 /// GDAL's `.aux.xml` beside an image, if it contains an RPC.
-fn beside_with_rpc(image: &Path, folders: &Folders) -> Result<Option<PathBuf>, SceneError> {
+fn beside_with_rpc(image: &Path, folders: &Folders) -> Result<Option<PathBuf>> {
     let name = format!("{}.aux.xml", file_name(image)).to_lowercase();
     let Some(path) = folders.by_name(folder_of(image))?.get(&name).cloned() else {
         return Ok(None);
@@ -182,7 +182,7 @@ fn in_own_pixels(file: &RasterFile, mut camera: FoundCamera) -> FoundCamera {
 }
 
 /// The vendor's camera of an image: its first sidecar, else its tag; in pixels of the image file.
-pub(super) fn of_vendor(file: &RasterFile, folders: &Folders) -> Result<Option<Rpc>, SceneError> {
+pub(super) fn of_vendor(file: &RasterFile, folders: &Folders) -> Result<Option<Rpc>> {
     let (all, _) = of_files(file, None, folders)?;
     Ok(all.into_iter().next().map(|camera| camera.rpc))
 }

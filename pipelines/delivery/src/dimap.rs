@@ -1,7 +1,7 @@
 //! DIMAP files (`DIM_*.XML`) beside images: the tiles of one image, whatever their names.
 
-use super::SceneError;
 use super::names::{file_name, has_extension};
+use super::{Result, SceneError};
 use heliosplat_rpc::read::{DataFile, DataFiles, data_files};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
@@ -28,11 +28,7 @@ pub(super) struct Dimaps {
 
 impl Dimaps {
     /// Reads the DIMAPs of a folder.
-    pub(super) fn read(
-        folder: &Path,
-        files: Vec<PathBuf>,
-        text: impl Fn(&Path) -> Result<Rc<str>, SceneError>,
-    ) -> Result<Self, SceneError> {
+    pub(super) fn read(folder: &Path, files: Vec<PathBuf>, text: impl Fn(&Path) -> Result<Rc<str>>) -> Result<Self> {
         let is_dimap =
             |path: &PathBuf| has_extension(path, &["xml"]) && file_name(path).to_lowercase().starts_with(PREFIX);
         let mut found = Self::default();
@@ -54,7 +50,7 @@ impl Dimaps {
     ///
     /// # Errors
     /// [`SceneError::MissingTile`] when a tile of such an image does not exist.
-    pub(super) fn tiled(&self, folder: &Path, files: &BTreeSet<&PathBuf>) -> Result<Vec<ListedTiles>, SceneError> {
+    pub(super) fn tiled(&self, folder: &Path, files: &BTreeSet<&PathBuf>) -> Result<Vec<ListedTiles>> {
         let mut found = Vec::new();
         for (dimap, DataFiles { images, step_px }) in &self.all {
             for listed in images.iter().filter(|listed| listed.len() > 1) {

@@ -3,7 +3,7 @@
 use super::draft::Draft;
 use super::files::Folders;
 use super::layout::Layout;
-use super::{RpcPreference, SceneError, acquisition, bands, calibration, camera, files, pairs};
+use super::{Result, RpcPreference, acquisition, bands, calibration, camera, files, pairs};
 
 /// Opens every image and reads its metadata.
 pub(super) fn read_all(
@@ -11,7 +11,7 @@ pub(super) fn read_all(
     preference: RpcPreference,
     folders: &Folders,
     warnings: &mut Vec<String>,
-) -> Result<Vec<Draft>, SceneError> {
+) -> Result<Vec<Draft>> {
     let mut drafts = Vec::with_capacity(layout.images.len());
     let declared = layout.bands.as_deref();
     for entry in &layout.images {

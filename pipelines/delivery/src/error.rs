@@ -4,6 +4,9 @@ use heliosplat_raster::RasterError;
 use heliosplat_rpc::RpcError;
 use std::path::PathBuf;
 
+/// Result of reading scenes.
+pub type Result<T, E = SceneError> = std::result::Result<T, E>;
+
 /// Reason why a scene cannot be opened. Every message is one line with file and remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {

@@ -1,8 +1,8 @@
 //! Files and folders of a scene, by name: images, truth, masks, and the folders of published layouts.
 
-use super::SceneError;
 use super::dimap::Dimaps;
 use super::names::{IMAGE_EXTENSIONS, file_name, folder_of, has_extension, is_truth, mask_of, stem};
+use super::{Result, SceneError};
 use heliosplat_raster::bounded;
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -28,7 +28,7 @@ struct Entry {
 
 impl Folders {
     /// Content of a text file of at most a few megabytes; invalid UTF-8 is replaced.
-    pub(super) fn text(&self, path: &Path) -> Result<Rc<str>, SceneError> {
+    pub(super) fn text(&self, path: &Path) -> Result<Rc<str>> {
         if let Some(text) = self.texts.borrow().get(path) {
             return Ok(Rc::clone(text));
         }
@@ -44,28 +44,28 @@ impl Folders {
     }
 
     /// Images directly in a folder, sorted by name, without truth rasters and masks. Empty for a missing folder.
-    pub(super) fn images(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    pub(super) fn images(&self, folder: &Path) -> Result<Vec<PathBuf>> {
         let is_image =
             |path: &PathBuf| has_extension(path, &IMAGE_EXTENSIONS) && !is_truth(path) && mask_of(path).is_none();
         Ok(self.files(folder)?.into_iter().filter(is_image).collect())
     }
 
     /// Files directly in a folder, sorted by name, without hidden ones. Empty for a missing folder.
-    pub(super) fn files(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    pub(super) fn files(&self, folder: &Path) -> Result<Vec<PathBuf>> {
         let entries = self.entries(folder)?;
         let files = entries.iter().filter(|entry| entry.is_file);
         Ok(files.map(|entry| entry.path.clone()).collect())
     }
 
     /// Folders directly in a folder, sorted by name, without hidden ones. Empty for a missing folder.
-    pub(super) fn folders(&self, folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    pub(super) fn folders(&self, folder: &Path) -> Result<Vec<PathBuf>> {
         let entries = self.entries(folder)?;
         let others = entries.iter().filter(|entry| !entry.is_file && entry.path.is_dir());
         Ok(others.map(|entry| entry.path.clone()).collect())
     }
 
     /// Files of a folder by their name in lower case; the first file of each name.
-    pub(super) fn by_name(&self, folder: &Path) -> Result<Rc<BTreeMap<String, PathBuf>>, SceneError> {
+    pub(super) fn by_name(&self, folder: &Path) -> Result<Rc<BTreeMap<String, PathBuf>>> {
         if let Some(known) = self.by_name.borrow().get(folder) {
             return Ok(Rc::clone(known));
         }
@@ -79,7 +79,7 @@ impl Folders {
     }
 
     /// The DIMAPs of a folder that list files.
-    pub(super) fn dimaps(&self, folder: &Path) -> Result<Rc<Dimaps>, SceneError> {
+    pub(super) fn dimaps(&self, folder: &Path) -> Result<Rc<Dimaps>> {
         if let Some(known) = self.dimaps.borrow().get(folder) {
             return Ok(Rc::clone(known));
         }
@@ -88,7 +88,7 @@ impl Folders {
         Ok(dimaps)
     }
 
-    fn entries(&self, folder: &Path) -> Result<Rc<Vec<Entry>>, SceneError> {
+    fn entries(&self, folder: &Path) -> Result<Rc<Vec<Entry>>> {
         if let Some(known) = self.listed.borrow().get(folder) {
             return Ok(Rc::clone(known));
         }
@@ -102,7 +102,7 @@ fn unreadable(path: &Path, error: &std::io::Error) -> SceneError {
     SceneError::Unreadable(path.to_owned(), error.to_string())
 }
 
-fn listed(folder: &Path) -> Result<Vec<Entry>, SceneError> {
+fn listed(folder: &Path) -> Result<Vec<Entry>> {
     if !folder.is_dir() {
         return Ok(Vec::new());
     }
@@ -158,9 +158,8 @@ pub(super) fn is_own_folder(folder: &Path) -> bool {
         let start = bounded::read_start(&folder.join(name), 1 << 16);
         String::from_utf8_lossy(&start).contains("heliosplat")
     };
-    let of_run = ["run.toml", "model.json"]
-        .iter()
-        .any(|name| folder.join(name).is_file());
+    let mut files = ["run.toml", "model.json"].iter();
+    let of_run = files.any(|name| folder.join(name).is_file());
     of_run || ["item.json", "collection.json"].into_iter().any(ours)
 }
 

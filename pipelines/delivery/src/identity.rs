@@ -1,6 +1,6 @@
 //! Identity of files: size, modification time, and a hash of the content that is computed once and stored.
 
-use super::SceneError;
+use super::{Result, SceneError};
 use heliosplat_raster::bounded::{TEXT_MAX, read_bytes};
 use heliosplat_raster::virtual_files::read_virtual;
 use heliosplat_raster::write::write_atomically;
@@ -36,7 +36,7 @@ impl FileIdentity {
 }
 
 /// SHA-256 of a file, or the error that names it.
-fn sum(path: &Path, of: impl FnOnce(&Path) -> std::io::Result<String>) -> Result<String, SceneError> {
+fn sum(path: &Path, of: impl FnOnce(&Path) -> std::io::Result<String>) -> Result<String> {
     of(path).map_err(|error| SceneError::Unreadable(path.to_owned(), error.to_string()))
 }
 
@@ -93,7 +93,7 @@ impl Hashes {
     ///
     /// # Errors
     /// [`SceneError::Unreadable`] when the file cannot be read.
-    pub fn identify(&mut self, path: &Path) -> Result<FileIdentity, SceneError> {
+    pub fn identify(&mut self, path: &Path) -> Result<FileIdentity> {
         let now = seen(path);
         let sha256 = match self.known.get(path).filter(|(then, _)| *then == now) {
             Some((_, sha256)) => sha256.clone(),
@@ -119,7 +119,7 @@ impl Hashes {
     ///
     /// # Errors
     /// [`SceneError::Unreadable`] when a file cannot be read.
-    pub fn of(&mut self, files: &[PathBuf], rasters: &BTreeSet<&Path>) -> Result<String, SceneError> {
+    pub fn of(&mut self, files: &[PathBuf], rasters: &BTreeSet<&Path>) -> Result<String> {
         let mut text = String::new();
         for file in files {
             let name = file.file_name().unwrap_or_default().to_string_lossy();

@@ -9,7 +9,8 @@ use super::files::{self, Folders};
 use super::manifest::Counts;
 use super::names;
 use super::{
-    Hashes, ImageSun, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars, weak_times,
+    Hashes, ImageSun, Result, RpcPreference, SceneError, Split, Truth, acquisition, drafts, layout, sidecars,
+    weak_times,
 };
 use heliosplat_raster::{Crs, RasterError, RasterFile, is_virtual};
 use heliosplat_rpc::read::acquisition::Acquisition;
@@ -85,7 +86,7 @@ impl Index {
     ///
     /// # Errors
     /// The first [`SceneError`] found.
-    pub fn open(path: &Path, rpc: RpcPreference) -> Result<Self, SceneError> {
+    pub fn open(path: &Path, rpc: RpcPreference) -> Result<Self> {
         let folders = Folders::default();
         let mut layout = layout::find(path, &folders)?;
         let mut warnings = std::mem::take(&mut layout.warnings);
@@ -129,7 +130,7 @@ impl Index {
         wanted: Option<(f64, f64)>,
         from_ties: Option<(f64, f64)>,
         warnings: &mut Vec<String>,
-    ) -> Result<AltitudeRange, SceneError> {
+    ) -> Result<AltitudeRange> {
         let stated: Vec<Stated> = self.images.iter().map(|image| image.altitude).collect();
         let said = StatedAltitudes {
             option_m: wanted,
@@ -143,7 +144,7 @@ impl Index {
     ///
     /// # Errors
     /// `SceneError::Unreadable` when a file cannot be read.
-    pub fn identity(&self, hashes: &mut Hashes) -> Result<String, SceneError> {
+    pub fn identity(&self, hashes: &mut Hashes) -> Result<String> {
         let images = self.images.iter();
         let images = images.flat_map(|image| std::iter::once(&image.path).chain(&image.others));
         let truth = [&self.truth.dsm, &self.truth.classes].into_iter().flatten();

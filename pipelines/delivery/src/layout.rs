@@ -8,7 +8,7 @@ use super::names::{IMAGE_EXTENSIONS, file_name, has_extension, stem};
 use super::satnerf::{self, JsonIndex};
 use super::stacks;
 use super::tiles::ImageFiles;
-use super::{BandKind, SceneError, Split, Truth, pair_names, relit_truth, truth};
+use super::{BandKind, Result, SceneError, Split, Truth, pair_names, relit_truth, truth};
 use heliosplat_raster::{is_virtual, list_virtual};
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
@@ -35,7 +35,7 @@ pub(super) struct Layout {
 const IMAGE_FOLDERS: [&str; 3] = ["images", "img", "imgs"];
 
 /// Finds the files of the scene at `path`, a folder or a `scene.toml`.
-pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
+pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout> {
     if is_virtual(path) {
         return from_virtual_folder(path);
     }
@@ -55,19 +55,17 @@ pub(super) fn find(path: &Path, folders: &Folders) -> Result<Layout, SceneError>
         });
     }
     let manifest = path.join("scene.toml");
-    if manifest.exists() {
-        from_manifest(&manifest, folders)
-    } else {
-        from_folder(path, folders)
+    match manifest.exists() {
+        true => from_manifest(&manifest, folders),
+        false => from_folder(path, folders),
     }
 }
 
 /// Layout of a folder on one of GDAL's virtual file systems: its images, with the cameras and dates that GDAL finds
 /// there.
-fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
-    let files = list_virtual(folder)?
-        .into_iter()
-        .filter(|path| has_extension(path, &IMAGE_EXTENSIONS));
+fn from_virtual_folder(folder: &Path) -> Result<Layout> {
+    let files = list_virtual(folder)?;
+    let files = files.into_iter().filter(|path| has_extension(path, &IMAGE_EXTENSIONS));
     let images: Vec<ImageEntry> = files.map(|path| ImageEntry::of(ImageFiles::one(path))).collect();
     if images.is_empty() {
         return Err(SceneError::Empty(folder.to_owned()));
@@ -78,7 +76,7 @@ fn from_virtual_folder(folder: &Path) -> Result<Layout, SceneError> {
     })
 }
 
-fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
+fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout> {
     let manifest = Manifest::read(path)?;
     let entry = |image: &ManifestImage| ImageEntry {
         split: image.split.unwrap_or(Split::Train),
@@ -108,7 +106,7 @@ fn from_manifest(path: &Path, folders: &Folders) -> Result<Layout, SceneError> {
     })
 }
 
-fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
+fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout> {
     let mut warnings = Vec::new();
     let (home, delivered) = scene_folder(folder, folders, &mut warnings)?;
     let mut images = delivered.map_or_else(|| folders.images(&home), Ok)?;
@@ -168,18 +166,12 @@ fn from_folder(folder: &Path, folders: &Folders) -> Result<Layout, SceneError> {
 /// JSONs of the images from another folder. The folder that describes most images is used alone, since cameras of
 /// several kinds must not be mixed; of equal folders, the one with better cameras. A folder that contains images of the
 /// same names is another scene, and its JSONs describe those images.
-fn cameras_beside(
-    home: &Path,
-    images: &[PathBuf],
-    folders: &Folders,
-    warnings: &mut Vec<String>,
-) -> Result<JsonIndex, SceneError> {
+fn cameras_beside(home: &Path, images: &[PathBuf], folders: &Folders, warnings: &mut Vec<String>) -> Result<JsonIndex> {
     let mut found = Vec::new();
     let is_another_scene = |folder: &Path| images.iter().any(|image| folder.join(file_name(image)).is_file());
     // The sort is stable: nearer folders stay before farther ones.
-    let others = neighbours(home, folders)
-        .into_iter()
-        .filter(|folder| !is_another_scene(folder));
+    let others = neighbours(home, folders);
+    let others = others.into_iter().filter(|folder| !is_another_scene(folder));
     for folder in others {
         let index = JsonIndex::read(&folder, folders)?.restricted_to(images);
         if !index.is_empty() {
@@ -223,12 +215,9 @@ fn chosen_cameras(scene: &Path, used: &Path, other: &Path) -> String {
         (0, 1..) => "the bundle-adjusted ones of ",
         _ => "those of ",
     };
-    format!(
-        "{}: cameras in several folders; {why}{} are used; to use others give their folder, as {}",
-        scene.display(),
-        used.display(),
-        other.display()
-    )
+    let (scene, used, other) = (scene.display(), used.display(), other.display());
+    let remedy = format!("to use others give their folder, as {other}");
+    format!("{scene}: cameras in several folders; {why}{used} are used; {remedy}")
 }
 
 /// A candidate folder of cameras.
@@ -284,8 +273,8 @@ fn scene_folder(
     folder: &Path,
     folders: &Folders,
     warnings: &mut Vec<String>,
-) -> Result<(PathBuf, Option<Vec<PathBuf>>), SceneError> {
-    let looks_like_scene = |folder: &Path| -> Result<bool, SceneError> {
+) -> Result<(PathBuf, Option<Vec<PathBuf>>)> {
+    let looks_like_scene = |folder: &Path| -> Result<bool> {
         Ok(!folders.images(folder)?.is_empty() || !JsonIndex::read(folder, folders)?.is_empty())
     };
     if looks_like_scene(folder)? {
@@ -329,7 +318,7 @@ fn scene_folder(
 
 /// Images of vendor folders with one image each: a panchromatic file, a multispectral file, both of one acquisition, or
 /// the tiles of one. `None` where a folder has several images, since it is then a separate scene.
-fn delivered(candidates: &[(PathBuf, Option<String>)], folders: &Folders) -> Result<Option<Vec<PathBuf>>, SceneError> {
+fn delivered(candidates: &[(PathBuf, Option<String>)], folders: &Folders) -> Result<Option<Vec<PathBuf>>> {
     let mut all = Vec::new();
     for (folder, _) in candidates {
         let images = folders.images(folder)?;
@@ -359,8 +348,8 @@ struct SplitLists {
 }
 
 impl SplitLists {
-    fn read(folder: &Path) -> Result<Option<Self>, SceneError> {
-        let read = |name: &str| -> Result<Option<Vec<String>>, SceneError> {
+    fn read(folder: &Path) -> Result<Option<Self>> {
+        let read = |name: &str| -> Result<Option<Vec<String>>> {
             let path = folder.join(name);
             if !path.is_file() {
                 return Ok(None);
@@ -389,7 +378,7 @@ impl SplitLists {
     }
 }
 
-fn folders_below(folder: &Path, depth: usize, folders: &Folders) -> Result<Vec<PathBuf>, SceneError> {
+fn folders_below(folder: &Path, depth: usize, folders: &Folders) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for path in folders.folders(folder)? {
         let name = file_name(&path).to_lowercase();

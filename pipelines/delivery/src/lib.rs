@@ -36,7 +36,7 @@ pub use altitude::{AltitudeRange, AltitudeSource, Stated};
 pub use bands::{BandPlan, in_words as bands_in_words};
 pub use calibration::FoundRadiometry;
 pub use checks::{Finding, Severity};
-pub use error::SceneError;
+pub use error::{Result, SceneError};
 pub use identity::{FileIdentity, Hashes, Seen, seen};
 pub use index::{Index, IndexImage};
 pub use manifest::{Counts, toml_fault};
@@ -155,7 +155,7 @@ pub fn image_described(json: &str) -> Option<(String, [Option<f64>; 2])> {
 ///
 /// # Errors
 /// [`SceneError::NoRpc`] for an image without a camera, and other errors that name the file.
-pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc, SceneError> {
+pub fn camera_of(path: &Path, preference: RpcPreference) -> Result<Rpc> {
     manifest::reject_address(path)?;
     if !path.is_file() {
         return Err(SceneError::Missing(path.to_owned()));

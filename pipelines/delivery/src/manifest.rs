@@ -1,6 +1,6 @@
 //! `scene.toml`: a list of a scene's images, with optional metadata.
 
-use super::{BandKind, SceneError, Split};
+use super::{BandKind, Result, SceneError, Split};
 use heliosplat_rpc::sun::SunPosition;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -93,7 +93,7 @@ impl Manifest {
     }
 
     /// Reads and checks a `scene.toml`; paths are resolved against its folder.
-    pub(super) fn read(path: &Path) -> Result<Self, SceneError> {
+    pub(super) fn read(path: &Path) -> Result<Self> {
         let fault = |reason: String| SceneError::Manifest(path.to_owned(), reason);
         let text = heliosplat_raster::bounded::read_text(path)
             .map_err(|error| SceneError::Unreadable(path.to_owned(), error.to_string()))?;
@@ -118,18 +118,17 @@ impl Manifest {
     }
 }
 
-fn resolve(folder: &Path, path: &mut PathBuf) -> Result<(), SceneError> {
+fn resolve(folder: &Path, path: &mut PathBuf) -> Result<()> {
     reject_address(path)?;
     *path = folder.join(&*path);
-    if path.exists() {
-        Ok(())
-    } else {
-        Err(SceneError::Missing(path.clone()))
+    match path.exists() {
+        true => Ok(()),
+        false => Err(SceneError::Missing(path.clone())),
     }
 }
 
 /// Refuses web addresses and GDAL's virtual file systems: a scene is read from the user's disk.
-pub(super) fn reject_address(path: &Path) -> Result<(), SceneError> {
+pub(super) fn reject_address(path: &Path) -> Result<()> {
     let text = path.to_string_lossy();
     if text.contains("://") || text.starts_with("/vsi") {
         return Err(SceneError::Address(text.into_owned()));
@@ -139,9 +138,8 @@ pub(super) fn reject_address(path: &Path) -> Result<(), SceneError> {
 
 /// Fault of a TOML text in one line, with its place.
 pub fn toml_fault(error: &toml::de::Error, text: &str) -> String {
-    let line = error
-        .span()
-        .map_or(1, |span| text[..span.start].matches('\n').count() + 1);
+    let span = error.span();
+    let line = span.map_or(1, |span| text[..span.start].matches('\n').count() + 1);
     let words: Vec<&str> = error.message().split_whitespace().collect();
     format!("line {line}: {}", words.join(" "))
 }

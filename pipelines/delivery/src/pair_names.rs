@@ -64,9 +64,8 @@ pub(super) fn by_name(images: Vec<ImageFiles>) -> (Vec<ImageFiles>, BTreeMap<Pat
             halves.entry(rest).or_default()[half as usize].push(image.clone());
         }
     }
-    let of_two = halves
-        .into_values()
-        .filter(|[pan, colours]| pan.len() == 1 && colours.len() == 1);
+    let of_two = halves.into_values();
+    let of_two = of_two.filter(|[pan, colours]| pan.len() == 1 && colours.len() == 1);
     let of_two = of_two.filter_map(|[mut pan, mut colours]| Some((pan.pop()?.path, colours.pop()?)));
     let partners: BTreeMap<PathBuf, ImageFiles> = of_two.collect();
     let taken: Vec<&ImageFiles> = partners.values().collect();

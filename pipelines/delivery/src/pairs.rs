@@ -8,7 +8,7 @@ use super::draft::Draft;
 use super::entry::ImageEntry;
 use super::files::Folders;
 use super::tiles::ImageFiles;
-use super::{BandKind, RpcPreference, SceneError, acquisition, calibration, camera, satnerf};
+use super::{BandKind, Result, RpcPreference, SceneError, acquisition, calibration, camera, satnerf};
 use heliosplat_raster::{GridRelation, RasterFile};
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ pub(super) fn with_colours(
     multispectral: &ImageFiles,
     declared: Option<&[BandKind]>,
     folders: &Folders,
-) -> Result<Draft, SceneError> {
+) -> Result<Draft> {
     let pan = &draft.file;
     let pan_path = pan.path().to_owned();
     let not_a_pair = |reason| SceneError::NotAPair(pan_path.clone(), multispectral.path.clone(), reason);
@@ -133,11 +133,8 @@ fn relation(
         (at(own as f64 - 0.5) - at(-0.5)) / (relation.scale[axis] * own as f64)
     };
     // NaN counts as disagreement.
-    let residual_px = if residual_px.is_nan() {
-        f64::INFINITY
-    } else {
-        residual_px
-    };
+    let known_px = Some(residual_px).filter(|residual_px| !residual_px.is_nan());
+    let residual_px = known_px.unwrap_or(f64::INFINITY);
     let shown = shown(0, width, size.0) * shown(1, height, size.1);
     Ok(Found {
         relation,
@@ -148,11 +145,7 @@ fn relation(
 
 /// Joins drafts of one acquisition time, in scenes with both panchromatic and colour images. Names do not confirm these
 /// pairs, so their cameras must agree.
-pub(super) fn by_time(
-    drafts: Vec<Draft>,
-    declared: Option<&[BandKind]>,
-    folders: &Folders,
-) -> Result<Vec<Draft>, SceneError> {
+pub(super) fn by_time(drafts: Vec<Draft>, declared: Option<&[BandKind]>, folders: &Folders) -> Result<Vec<Draft>> {
     let is_pan = |draft: &Draft| draft.file.bands.len() == 1;
     if drafts.iter().all(is_pan) || !drafts.iter().any(is_pan) {
         return Ok(drafts);
@@ -178,9 +171,8 @@ pub(super) fn by_time(
         let shared = near.iter().filter(|other| (0..2).any(|k| other[k] == pair[k]));
         shared.count() == 1
     };
-    let colours: BTreeMap<usize, ImageFiles> = near
-        .iter()
-        .filter(alone)
+    let lone = near.iter().filter(alone);
+    let colours: BTreeMap<usize, ImageFiles> = lone
         .map(|&[index, place]| (index, drafts[place].entry.tiles.clone()))
         .collect();
     let taken: Vec<PathBuf> = colours.values().map(|files| files.path.clone()).collect();

@@ -4,7 +4,7 @@
 //! zero, the georeferenced rasters `relit_K.tif` (linear counts, the scene's bands) and `relit_K_shadow.tif` (1 = in
 //! cast shadow).
 
-use super::SceneError;
+use super::{Result, SceneError};
 use heliosplat_rpc::sun::SunPosition;
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ struct Entry {
 /// # Errors
 /// [`SceneError::Unreadable`] without a readable `relit.json`, [`SceneError::Manifest`] where it is no list of suns,
 /// and [`SceneError::MissingImage`] where a raster is missing.
-pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>, SceneError> {
+pub fn relit_truth(folder: &Path) -> Result<Vec<RelitTruth>> {
     let list = folder.join(LIST);
     let text = heliosplat_raster::bounded::read_text(&list)
         .map_err(|error| SceneError::Unreadable(list.clone(), error.to_string()))?;

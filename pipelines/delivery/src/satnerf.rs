@@ -1,8 +1,8 @@
 //! JSON files of Sat-NeRF and EOGS: name and altitudes of each image.
 
-use super::SceneError;
 use super::files::{Folders, neighbours};
 use super::names::{file_name, has_extension, stem};
+use super::{Result, SceneError};
 use heliosplat_raster::RasterFile;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -68,7 +68,7 @@ pub(super) struct JsonIndex {
 
 impl JsonIndex {
     /// Reads all JSONs directly in a folder; JSONs that describe no image are ignored.
-    pub(super) fn read(folder: &Path, folders: &Folders) -> Result<Self, SceneError> {
+    pub(super) fn read(folder: &Path, folders: &Folders) -> Result<Self> {
         let mut index = Self::default();
         for path in folders.files(folder)? {
             if has_extension(&path, &["json"])
@@ -117,7 +117,7 @@ impl JsonIndex {
 
     /// Finds the described images in another folder near `home`; fails with `SceneError::MissingImage` where one is not
     /// found.
-    pub(super) fn find_images(&self, home: &Path, folders: &Folders) -> Result<Vec<PathBuf>, SceneError> {
+    pub(super) fn find_images(&self, home: &Path, folders: &Folders) -> Result<Vec<PathBuf>> {
         let mut available: BTreeMap<String, Vec<PathBuf>> = BTreeMap::new();
         for folder in neighbours(home, folders) {
             for image in folders.images(&folder)? {

@@ -3,17 +3,13 @@
 use super::entry::ImageEntry;
 use super::files::Folders;
 use super::names::{file_name, folder_of, stem};
-use super::{SceneError, dimap, tiles};
+use super::{Result, dimap, tiles};
 use heliosplat_raster::is_virtual;
 use std::path::{Path, PathBuf};
 
 /// All texts that describe an image, by precedence: the metadata file in `scene.toml`, the JSON that names the image,
 /// and the texts beside the image.
-pub(super) fn describing_texts(
-    entry: &ImageEntry,
-    image: &Path,
-    folders: &Folders,
-) -> Result<Vec<PathBuf>, SceneError> {
+pub(super) fn describing_texts(entry: &ImageEntry, image: &Path, folders: &Folders) -> Result<Vec<PathBuf>> {
     let said = entry.said.as_ref().and_then(|said| said.metadata.clone());
     let mut texts: Vec<PathBuf> = said.into_iter().chain(entry.json.clone()).collect();
     texts.extend(belonging_texts(image, folders)?);
@@ -22,7 +18,7 @@ pub(super) fn describing_texts(
 
 /// Text files beside an image that belong to it by their name: `X.RPB`, `X_RPC.TXT`, `X.XML`, `RPC_X.XML`, `DIM_X.XML`
 /// … for an image `X.TIF` or `IMG_X_R1C1.TIF`.
-pub(super) fn belonging_texts(image: &Path, folders: &Folders) -> Result<Vec<PathBuf>, SceneError> {
+pub(super) fn belonging_texts(image: &Path, folders: &Folders) -> Result<Vec<PathBuf>> {
     if is_virtual(image) {
         return Ok(Vec::new());
     }

@@ -1,7 +1,7 @@
 //! Bands of one acquisition in several files, recognised by vendors' names: `…_RGB_…` and `…_NED_…` of Pleiades Neo,
 //! `…_red_…`, `…_grn_…`, `…_blu_…` and `…_nir_…` of GeoEye.
 
-use super::SceneError;
+use super::Result;
 use super::files::Folders;
 use super::names::stem;
 use super::tiles::{self, ImageFiles};
@@ -40,7 +40,7 @@ fn part_of(name: &str) -> Option<(usize, String)> {
 ///
 /// # Errors
 /// Those of [`tiles::joined`].
-pub(super) fn images(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>, SceneError> {
+pub(super) fn images(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>> {
     Ok(joined(tiles::joined(files, folders)?))
 }
 
@@ -60,9 +60,8 @@ fn joined(images: Vec<ImageFiles>) -> Vec<ImageFiles> {
         files.len() > 1 && is_colour && names.iter().all(|name| of(name) == 1)
     });
     let first_of = |index: usize| {
-        groups
-            .values()
-            .find(|files| files.values().any(|other| *other == index))
+        let mut files = groups.values();
+        files.find(|files| files.values().any(|other| *other == index))
     };
     let mut out = Vec::with_capacity(images.len());
     for (index, image) in images.iter().enumerate() {

@@ -1,8 +1,8 @@
 //! Images delivered in tiles: `…_R1C1.TIF`, `…_R1C2.TIF` … of Airbus, `…_R1C1-…` with a `.TIL` of Maxar.
 
-use super::SceneError;
 use super::files::Folders;
 use super::names::{folder_of, has_extension, stem};
+use super::{Result, SceneError};
 use heliosplat_raster::{RasterFile, Tile};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ impl ImageFiles {
     }
 
     /// Opens the file, the tiles, or the files of all bands as one image.
-    pub(super) fn open(&self, folders: &Folders) -> Result<RasterFile, SceneError> {
+    pub(super) fn open(&self, folders: &Folders) -> Result<RasterFile> {
         if self.more.is_empty() {
             return self.open_bands(folders);
         }
@@ -57,7 +57,7 @@ impl ImageFiles {
         Ok(RasterFile::stacked(files)?)
     }
 
-    fn open_bands(&self, folders: &Folders) -> Result<RasterFile, SceneError> {
+    fn open_bands(&self, folders: &Folders) -> Result<RasterFile> {
         if self.tiles.is_empty() {
             return Ok(RasterFile::open(&self.path)?);
         }
@@ -66,7 +66,7 @@ impl ImageFiles {
 
     /// Positions of the tiles: from their DIMAP or a `.TIL` beside them, else side by side in the order of their
     /// counting.
-    fn placed(&self, folders: &Folders) -> Result<Vec<Tile>, SceneError> {
+    fn placed(&self, folders: &Folders) -> Result<Vec<Tile>> {
         if let Some(step_px) = self.step_px {
             return Ok(self.at_steps(step_px));
         }
@@ -101,7 +101,7 @@ impl ImageFiles {
         self.tiles.iter().map(tile).collect()
     }
 
-    fn side_by_side(&self) -> Result<Vec<Tile>, SceneError> {
+    fn side_by_side(&self) -> Result<Vec<Tile>> {
         let fault = |path: &Path, reason: String| SceneError::Unreadable(path.to_owned(), reason);
         // Width of each column of tiles, and height of each row.
         let (mut widths, mut heights) = (BTreeMap::new(), BTreeMap::new());
@@ -170,7 +170,7 @@ pub(super) fn product_name(name: &str) -> Option<String> {
 ///
 /// # Errors
 /// [`SceneError::MissingTile`] when a DIMAP lists a tile that does not exist.
-pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>, SceneError> {
+pub(super) fn joined(files: Vec<PathBuf>, folders: &Folders) -> Result<Vec<ImageFiles>> {
     let mut images = Vec::new();
     let mut taken: BTreeSet<PathBuf> = BTreeSet::new();
     let wanted: BTreeSet<&PathBuf> = files.iter().collect();
@@ -206,9 +206,8 @@ fn by_names(files: Vec<PathBuf>) -> Vec<ImageFiles> {
         }
     }
     products.retain(|_, tiles| tiles.len() > 1);
-    let product_of = products
-        .values()
-        .flat_map(|tiles| tiles.values().map(move |tile| (tile, tiles)));
+    let grids = products.values();
+    let product_of = grids.flat_map(|tiles| tiles.values().map(move |tile| (tile, tiles)));
     let product_of: BTreeMap<&PathBuf, _> = product_of.collect();
     let mut images = Vec::with_capacity(files.len());
     for path in files {

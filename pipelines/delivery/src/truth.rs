@@ -89,10 +89,8 @@ fn in_folder(folder: &Path, scene: &str, own_folder: bool, folders: &Folders, wa
     // A folder with the truth of several scenes has one raster per scene; the raster with this scene's name is used.
     let pick = |own: &str, ends: &[&str]| -> Option<PathBuf> {
         let named = |name: String| {
-            rasters
-                .iter()
-                .find(|path| stem(path).eq_ignore_ascii_case(&name))
-                .cloned()
+            let named = rasters.iter().find(|path| stem(path).eq_ignore_ascii_case(&name));
+            named.cloned()
         };
         let by_scene = ends.iter().find_map(|end| named(format!("{scene}{end}")));
         if !own_folder {

@@ -75,11 +75,8 @@ pub fn subpixel(truth: &Raster, prediction: &(impl Fn(f64, f64) -> Raster + Sync
 
 /// A shift whose prediction has been moved already, completed by the remaining mean height difference.
 fn with_height(truth: &Raster, moved: &Raster, columns: f64, rows: f64) -> Shift {
-    let differences = truth
-        .plane(0)
-        .iter()
-        .zip(moved.plane(0))
-        .map(|(want, got)| f64::from(want - got));
+    let pairs = truth.plane(0).iter().zip(moved.plane(0));
+    let differences = pairs.map(|(want, got)| f64::from(want - got));
     let known = differences.filter(|difference| difference.is_finite());
     let (sum, count) = known.fold((0.0, 0usize), |(sum, count), difference| (sum + difference, count + 1));
     let height_m = if count > 0 { sum / count as f64 } else { 0.0 };

@@ -1,6 +1,6 @@
 //! Maps of changes against the truth, by area and by segments at least as large as a house.
 
-use super::EvaluateError;
+use super::Result;
 use super::resample::Placement;
 use heliosplat_raster::{GeoRaster, RasterFile, dsm_bands};
 use jiff::civil::Date;
@@ -39,7 +39,7 @@ pub struct ChangeScore {
 ///
 /// # Errors
 /// [`EvaluateError`], naming the file at fault.
-pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, EvaluateError> {
+pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore> {
     let (found, truth) = (read(found)?, read(truth)?);
     let placement = Placement::new(&found, &truth)?;
     let size = (truth.raster.width, truth.raster.height);
@@ -48,17 +48,12 @@ pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore, Evalua
     let found_days = has_days.then(|| placement.nearest_band(1));
     let days = found_days.as_ref().map(|found| (found.plane(0), truth.raster.plane(1)));
     let found = placement.moved(0.0, 0.0);
-    Ok(score(
-        size.0,
-        found.plane(0),
-        truth.raster.plane(0),
-        days,
-        width_m * height_m,
-    ))
+    let (found, truth) = (found.plane(0), truth.raster.plane(0));
+    Ok(score(size.0, found, truth, days, width_m * height_m))
 }
 
 /// A map of changes with a second band of days since 1970, where it or the file of dates beside it has them.
-fn read(path: &Path) -> Result<GeoRaster, EvaluateError> {
+fn read(path: &Path) -> Result<GeoRaster> {
     let mut map = GeoRaster::read_heights(path)?;
     let beside = dsm_bands::companion(path, "date");
     let dates = match map.raster.bands > 1 {
@@ -95,6 +90,7 @@ fn score(width: usize, found: &[f32], truth: &[f32], days: Option<(&[f32], &[f32
         let within_a_day = |cell: &&usize| (found[**cell] - truth[**cell]).abs() <= 1.0;
         both.iter().filter(within_a_day).count()
     };
+    let known_days = days.filter(|_| !both.is_empty());
     ChangeScore {
         precision: share(count(&found)),
         recall: share(count(&changed)),
@@ -102,9 +98,7 @@ fn score(width: usize, found: &[f32], truth: &[f32], days: Option<(&[f32], &[f32
         found_m2: area(count(&found)),
         true_segments,
         found_segments,
-        right_day: days
-            .filter(|_| !both.is_empty())
-            .map(|days| right(days) as f64 / both.len() as f64),
+        right_day: known_days.map(|days| right(days) as f64 / both.len() as f64),
     }
 }
 

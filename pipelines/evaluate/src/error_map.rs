@@ -40,10 +40,9 @@ fn colour(error_m: f32) -> Rgb<u8> {
         return NOT_MEASURED;
     }
     let share = (error_m / FULL_COLOUR_M).clamp(-1.0, 1.0);
-    let end = if share < 0.0 {
-        [33.0, 102.0, 172.0]
-    } else {
-        [178.0, 24.0, 43.0]
+    let end = match share < 0.0 {
+        true => [33.0, 102.0, 172.0],
+        false => [178.0, 24.0, 43.0],
     };
     // The square root shows small errors, which are most.
     let strength = share.abs().sqrt();

@@ -62,17 +62,15 @@ pub fn ssim(rendered: &Raster, real: &Raster) -> Option<f64> {
     let kernel = gaussian_kernel(RADIUS, 1.5);
     let of_band = |band| ssim_of_band(rendered.plane(band), real.plane(band), width, &kernel);
     let bands: Vec<(f64, usize)> = (0..real.bands).into_par_iter().map(of_band).collect();
-    let (sum, count) = bands
-        .iter()
-        .fold((0.0, 0), |(sum, count), band| (sum + band.0, count + band.1));
+    let sums = bands.iter();
+    let (sum, count) = sums.fold((0.0, 0), |(sum, count), band| (sum + band.0, count + band.1));
     (count > 0).then(|| sum / count as f64)
 }
 
 fn gaussian_kernel(radius: usize, sigma: f64) -> Vec<f64> {
     let weight = |offset: f64| (-0.5 * (offset / sigma).powi(2)).exp();
-    let weights: Vec<f64> = (0..=2 * radius)
-        .map(|index| weight(index as f64 - radius as f64))
-        .collect();
+    let weights = (0..=2 * radius).map(|index| weight(index as f64 - radius as f64));
+    let weights: Vec<f64> = weights.collect();
     let sum: f64 = weights.iter().sum();
     weights.iter().map(|weight| weight / sum).collect()
 }

@@ -67,6 +67,9 @@ impl Protocol {
     }
 }
 
+/// Result of a comparison.
+pub(crate) type Result<T, E = EvaluateError> = std::result::Result<T, E>;
+
 /// Reason why two rasters cannot be compared.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
@@ -129,7 +132,7 @@ pub fn evaluate_dsm(
     truth_path: &Path,
     classes_path: Option<&Path>,
     protocol: Protocol,
-) -> Result<DsmEvaluation, EvaluateError> {
+) -> Result<DsmEvaluation> {
     let prediction = GeoRaster::read_surface(prediction_path)?;
     evaluate_raster((prediction_path, &prediction), truth_path, classes_path, protocol)
 }
@@ -144,13 +147,12 @@ pub fn evaluate_raster(
     truth_path: &Path,
     classes_path: Option<&Path>,
     protocol: Protocol,
-) -> Result<DsmEvaluation, EvaluateError> {
+) -> Result<DsmEvaluation> {
     let mut warnings = Vec::new();
     let truth = truth::read(truth_path, prediction, &mut warnings)?;
     check_vertical(prediction_path, prediction, truth_path, &truth, protocol, &mut warnings)?;
-    let classes = classes_path
-        .map(|path| truth::read_classes(path, &truth.raster))
-        .transpose()?;
+    let classes = classes_path.map(|path| truth::read_classes(path, &truth.raster));
+    let classes = classes.transpose()?;
     let size = (truth.raster.width, truth.raster.height);
     let [width_m, height_m] = truth.transform.cell_m(size, truth.crs.as_ref());
     let gsd_m = (width_m * height_m).sqrt();
@@ -229,7 +231,7 @@ fn check_vertical(
     truth: &GeoRaster,
     protocol: Protocol,
     warnings: &mut Vec<String>,
-) -> Result<(), EvaluateError> {
+) -> Result<()> {
     let datum = |raster: &GeoRaster| raster.crs.clone().filter(|crs| crs.has_vertical_datum());
     let (ours, theirs) = (datum(prediction), datum(truth));
     let (path, crs) = match (ours, theirs) {

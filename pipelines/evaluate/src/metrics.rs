@@ -116,10 +116,8 @@ impl DsmMetrics {
 /// beside a wall is no better than its neighbours (S-EO, arXiv 2504.06920, publishes both bounds for this reason).
 pub(super) fn outside_truth(errors: &Raster, wanted: &[bool], truth: &Raster) -> Option<f64> {
     let lowest = |sign: f32| {
-        let known = truth
-            .values
-            .iter()
-            .map(|z| if z.is_nan() { f32::MAX } else { sign * z });
+        let values = truth.values.iter();
+        let known = values.map(|z| if z.is_nan() { f32::MAX } else { sign * z });
         lowest_within((truth.width, truth.height), &known.collect::<Vec<_>>(), [1, 1])
     };
     let bounds = lowest(1.0).into_iter().zip(lowest(-1.0));

@@ -63,9 +63,8 @@ impl<'a> Placement<'a> {
         let offset = [0, 1].map(|axis| columns * per_col[axis] + rows * per_row[axis]);
         let mut out = Raster::filled(self.width, self.height, 1, f32::NAN);
         let cells = out.values.par_iter_mut().zip(&self.positions);
-        cells.for_each(|(value, [col, row])| {
-            *value = bilinear_band(self.source, band, col - offset[0], row - offset[1])
-        });
+        let resampled = |[col, row]: &[f64; 2]| bilinear_band(self.source, band, col - offset[0], row - offset[1]);
+        cells.for_each(|(value, place)| *value = resampled(place));
         out
     }
     /// A band of the source on the target's grid, the nearest cell's value, `NaN` where there is none.

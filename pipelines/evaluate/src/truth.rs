@@ -1,6 +1,6 @@
 //! Truth rasters as distributed: georeferenced, or positioned by a text file as in DFC2019.
 
-use super::EvaluateError;
+use super::{EvaluateError, Result};
 use heliosplat::Raster;
 use heliosplat_raster::{Crs, CrsTransform, GeoRaster, GeoTransform, RasterError, RasterFile};
 use heliosplat_rpc::GeoPoint;
@@ -12,11 +12,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`EvaluateError`] when the file cannot be read, or no place is stated.
-pub(super) fn read(
-    path: &Path,
-    prediction: &GeoRaster,
-    warnings: &mut Vec<String>,
-) -> Result<GeoRaster, EvaluateError> {
+pub(super) fn read(path: &Path, prediction: &GeoRaster, warnings: &mut Vec<String>) -> Result<GeoRaster> {
     let file = RasterFile::open(path)?;
     let mut raster = file.read_heights(0)?;
     blank_absurd_heights(&mut raster);
@@ -42,7 +38,7 @@ pub(super) fn read(
 ///
 /// # Errors
 /// [`EvaluateError`] when the file cannot be read, or has other numbers of columns and rows than the truth.
-pub(super) fn read_classes(path: &Path, truth: &Raster) -> Result<Raster, EvaluateError> {
+pub(super) fn read_classes(path: &Path, truth: &Raster) -> Result<Raster> {
     let file = RasterFile::open(path)?;
     let classes = file.read(file.whole(), &[0])?;
     if (classes.width, classes.height) == (truth.width, truth.height) {
@@ -64,7 +60,7 @@ fn blank_absurd_heights(raster: &mut Raster) {
     }
 }
 
-fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform, EvaluateError> {
+fn placed_by_text(path: &Path, raster: &Raster) -> Result<GeoTransform> {
     let text_path = path.with_extension("txt");
     if !text_path.is_file() {
         return Err(RasterError::NotGeoreferenced(path.to_owned()).into());

@@ -42,8 +42,8 @@ impl Uncertainty {
     /// 100 cells with both.
     pub fn of(errors: &Raster, deviations: &Raster) -> Option<Self> {
         let cells = errors.plane(0).iter().zip(deviations.plane(0));
-        let mut cells: Vec<(f64, f64)> = cells
-            .filter(|(error, deviation)| error.is_finite() && deviation.is_finite())
+        let known = cells.filter(|(error, deviation)| error.is_finite() && deviation.is_finite());
+        let mut cells: Vec<(f64, f64)> = known
             .map(|(error, deviation)| (f64::from(*deviation), f64::from(error.abs())))
             .collect();
         if cells.len() < FEWEST {
@@ -74,11 +74,8 @@ impl Uncertainty {
         text.push_str("expected m     RMSE m    MAE m  median m\n");
         for group in &self.groups {
             // Writing to a String cannot fail.
-            let _ = writeln!(
-                text,
-                "{:<12.3} {:>8.3} {:>8.3}  {:>8.3}",
-                group.expected_m, group.rmse_m, group.mae_m, group.median_m
-            );
+            let [expected, rmse, mae, median] = [group.expected_m, group.rmse_m, group.mae_m, group.median_m];
+            let _ = writeln!(text, "{expected:<12.3} {rmse:>8.3} {mae:>8.3}  {median:>8.3}");
         }
         text
     }
@@ -121,10 +118,9 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
     for (a, b) in a.iter().zip(b) {
         (aa, bb, ab) = (aa + (a - ma).powi(2), bb + (b - mb).powi(2), ab + (a - ma) * (b - mb));
     }
-    if aa > 0.0 && bb > 0.0 {
-        ab / (aa * bb).sqrt()
-    } else {
-        0.0
+    match aa > 0.0 && bb > 0.0 {
+        true => ab / (aa * bb).sqrt(),
+        false => 0.0,
     }
 }
 

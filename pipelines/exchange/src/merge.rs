@@ -22,9 +22,8 @@ pub fn merged(splats: &[Splat], cell_m: f32) -> Vec<Splat> {
     let mut order: Vec<([i32; 3], u32)> = splats.iter().map(key).zip(0..).collect();
     order.par_sort_unstable();
     let cells: Vec<&[([i32; 3], u32)]> = order.chunk_by(|a, b| a.0 == b.0).collect();
+    let cells = cells.par_iter().with_min_len(256);
     cells
-        .par_iter()
-        .with_min_len(256)
         .map(|cell| mixture(cell.iter().map(|&(_, i)| &splats[i as usize]), WIDEST_CELLS * cell_m))
         .collect()
 }

@@ -32,10 +32,8 @@ pub fn header<'a>(comments: &[String], count: usize, columns: impl Iterator<Item
 pub fn split(bytes: &[u8]) -> Result<(&str, &[u8]), String> {
     const END: &[u8] = b"end_header";
     let head = &bytes[..bytes.len().min(HEADER_LIMIT)];
-    let end = head
-        .windows(END.len())
-        .position(|w| w == END)
-        .ok_or("it has no PLY header")?;
+    let mut windows = head.windows(END.len());
+    let end = windows.position(|w| w == END).ok_or("it has no PLY header")?;
     let header = std::str::from_utf8(&head[..end]).map_err(|_| "its header is not text")?;
     let body = &bytes[end + END.len()..];
     let body = body.strip_prefix(b"\r").unwrap_or(body);

@@ -68,12 +68,9 @@ fn byte(value: f32) -> u8 {
 /// Packed unit quaternion (x, y, z, w): the index of the largest component, which is made positive, then the other
 /// three, each a sign and nine bits of its share of `sqrt(1/2)`.
 fn turn(rotation: [f32; 4]) -> u32 {
-    let larger = |best: usize, i: usize| {
-        if rotation[i].abs() > rotation[best].abs() {
-            i
-        } else {
-            best
-        }
+    let larger = |best: usize, i: usize| match rotation[i].abs() > rotation[best].abs() {
+        true => i,
+        false => best,
     };
     let largest = (1..4).fold(0, larger);
     let flipped = rotation[largest] < 0.0;

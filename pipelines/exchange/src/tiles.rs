@@ -218,9 +218,8 @@ fn parts(splats: Vec<Splat>) -> Vec<Vec<Splat>> {
         return vec![splats];
     }
     let places = |fold: fn(Vec3, Vec3) -> Vec3| splats.iter().map(|s| s.position).reduce(fold);
-    let middle = places(Vec3::min)
-        .zip(places(Vec3::max))
-        .map_or(Vec3::ZERO, |(low, high)| 0.5 * (low + high));
+    let ends = places(Vec3::min).zip(places(Vec3::max));
+    let middle = ends.map_or(Vec3::ZERO, |(low, high)| 0.5 * (low + high));
     let mut quarters = vec![Vec::new(); 4];
     for splat in splats {
         let (east, north) = (splat.position.x >= middle.x, splat.position.y >= middle.y);

@@ -122,9 +122,8 @@ fn decode<P: Clone + DeserializeOwned + 'static>(
     let undecoded = |error: postcard::Error| damaged(&error.to_string());
     let rest = bytes.strip_prefix(MAGIC);
     let rest = rest.ok_or_else(|| damaged("it is no checkpoint of this version of the program"))?;
-    let (contents, sum) = rest
-        .split_last_chunk::<SUM>()
-        .ok_or_else(|| damaged("it is truncated"))?;
+    let parts = rest.split_last_chunk::<SUM>();
+    let (contents, sum) = parts.ok_or_else(|| damaged("it is truncated"))?;
     if Sha256::digest(contents)[..] != sum[..] {
         return Err(damaged("its check sum is wrong: it is truncated or damaged"));
     }

@@ -108,9 +108,8 @@ pub fn run_of<T: serde::de::DeserializeOwned>(text: &str) -> Result<T, String> {
     let run = || -> Result<T, toml::de::Error> {
         let mut run: toml::Table = text.parse()?;
         for (group, setting) in RETIRED {
-            let settings = run
-                .get_mut("config")
-                .and_then(|config| config.get_mut(group)?.as_table_mut());
+            let config = run.get_mut("config");
+            let settings = config.and_then(|config| config.get_mut(group)?.as_table_mut());
             settings.and_then(|settings| settings.remove(setting));
         }
         run.try_into()

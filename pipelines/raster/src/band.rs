@@ -55,15 +55,19 @@ pub struct Window {
 }
 
 impl Window {
-    /// All pixels of an image of this many columns and rows.
-    pub fn whole((width, height): (usize, usize)) -> Self {
-        let (col0, row0) = (0, 0);
+    /// Pixels from a column and a row on, this many columns and rows of them.
+    pub fn new((col0, row0): (usize, usize), (width, height): (usize, usize)) -> Self {
         Self {
             col0,
             row0,
             width,
             height,
         }
+    }
+
+    /// All pixels of an image of this many columns and rows.
+    pub fn whole(size: (usize, usize)) -> Self {
+        Self::new((0, 0), size)
     }
 
     /// Pixels of the window; `NaN` outside of the raster.

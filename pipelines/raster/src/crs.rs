@@ -1,6 +1,6 @@
 //! Coordinate reference systems: choice for a scene, and transformations by PROJ through GDAL.
 
-use super::{RasterError, messages};
+use super::{RasterError, Result, messages};
 use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform, SpatialRef};
 use heliosplat_rpc::GeoPoint;
 use std::cell::RefCell;
@@ -29,7 +29,7 @@ impl Crs {
     /// # Errors
     /// [`RasterError::UnknownCrs`] for another form or an unknown system, `RasterError::ProjDatabase` without PROJ's
     /// database.
-    pub fn from_definition(definition: &str) -> Result<Self, RasterError> {
+    pub fn from_definition(definition: &str) -> Result<Self> {
         if let Some(known) = READ.with_borrow(|read| read.get(definition).cloned()) {
             return Ok(known);
         }
@@ -38,7 +38,7 @@ impl Crs {
         Ok(crs)
     }
 
-    fn parse(definition: &str) -> Result<Self, RasterError> {
+    fn parse(definition: &str) -> Result<Self> {
         let unknown = |reason: String| match reason.contains("proj_create_from_database: Cannot find")
             || reason.contains("SQLite")
         {
@@ -71,7 +71,7 @@ impl Crs {
     ///
     /// # Errors
     /// Those of [`Crs::from_definition`]; [`RasterError::UnknownCrs`] also for a system with a vertical datum.
-    pub fn horizontal(definition: &str) -> Result<Self, RasterError> {
+    pub fn horizontal(definition: &str) -> Result<Self> {
         let crs = Self::from_definition(definition)?;
         let reason = "heights are above the ellipsoid here".to_owned();
         match crs.vertical {
@@ -84,7 +84,7 @@ impl Crs {
     ///
     /// # Errors
     /// [`RasterError::UnknownCrs`] for an unknown code, `RasterError::ProjDatabase` without PROJ's database.
-    pub fn from_epsg(code: u32) -> Result<Self, RasterError> {
+    pub fn from_epsg(code: u32) -> Result<Self> {
         Self::from_definition(&format!("EPSG:{code}"))
     }
 
@@ -92,7 +92,7 @@ impl Crs {
     ///
     /// # Errors
     /// [`RasterError::UnknownCrs`], or `RasterError::ProjDatabase` when PROJ's database is missing.
-    pub fn utm(at: GeoPoint) -> Result<Self, RasterError> {
+    pub fn utm(at: GeoPoint) -> Result<Self> {
         Self::from_epsg(utm_epsg(at.lon_deg, at.lat_deg))
     }
 
@@ -230,7 +230,7 @@ impl CrsTransform {
     ///
     /// # Errors
     /// [`RasterError::UnknownCrs`] when PROJ has no transformation between the two systems.
-    pub fn from_lon_lat(target: &Crs) -> Result<Self, RasterError> {
+    pub fn from_lon_lat(target: &Crs) -> Result<Self> {
         Self::between("EPSG:4326", target.definition(), target.name())
     }
 
@@ -238,7 +238,7 @@ impl CrsTransform {
     ///
     /// # Errors
     /// [`RasterError::UnknownCrs`] when PROJ has no transformation between the two systems.
-    pub fn to_lon_lat(source: &Crs) -> Result<Self, RasterError> {
+    pub fn to_lon_lat(source: &Crs) -> Result<Self> {
         Self::between(source.definition(), "EPSG:4326", "WGS 84")
     }
 
@@ -246,11 +246,11 @@ impl CrsTransform {
     ///
     /// # Errors
     /// [`RasterError::UnknownCrs`] when PROJ has no transformation between the two systems.
-    pub fn new(source: &Crs, target: &Crs) -> Result<Self, RasterError> {
+    pub fn new(source: &Crs, target: &Crs) -> Result<Self> {
         Self::between(source.definition(), target.definition(), target.name())
     }
 
-    fn between(source: &str, target: &str, name: &str) -> Result<Self, RasterError> {
+    fn between(source: &str, target: &str, name: &str) -> Result<Self> {
         let key = [source, target].map(str::to_owned);
         let known = MADE.with_borrow(|made| made.get(&key).cloned());
         let transform = match known {
@@ -275,7 +275,7 @@ impl CrsTransform {
     ///
     /// # Errors
     /// [`RasterError::Transform`] for a point outside of the target system.
-    pub fn apply(&self, x: f64, y: f64) -> Result<(f64, f64), RasterError> {
+    pub fn apply(&self, x: f64, y: f64) -> Result<(f64, f64)> {
         let failed = |reason: String| RasterError::Transform(self.target.clone(), reason);
         let (mut x, mut y) = ([x], [y]);
         messages::collect(|| self.transform.transform_coords(&mut x, &mut y, &mut [])).map_err(failed)?;

@@ -2,7 +2,7 @@
 //! as `dsm.tif`, `dsm_stddev.tif`, `dsm_coverage.tif` and `dsm_views.tif`. Products write these files, and all other
 //! code reads them here.
 
-use crate::{GeoRaster, RasterError, is_virtual};
+use crate::{GeoRaster, Result, is_virtual};
 use std::path::{Path, PathBuf};
 
 /// Altitude, metres above the ellipsoid or a geoid.
@@ -37,7 +37,7 @@ impl GeoRaster {
     /// # Errors
     /// A file that cannot be opened or read, has no georeferencing, or states heights in no known length, as
     /// [`GeoRaster::read_heights`].
-    pub fn read_surface(path: &Path) -> Result<Self, RasterError> {
+    pub fn read_surface(path: &Path) -> Result<Self> {
         let mut surface = Self::read_heights(path)?;
         if surface.raster.bands > 1 || is_virtual(path) {
             return Ok(surface);
@@ -48,10 +48,9 @@ impl GeoRaster {
             if !path.is_file() {
                 continue;
             }
-            let read = if band == STANDARD_DEVIATION {
-                Self::read_heights
-            } else {
-                Self::read
+            let read = match band {
+                STANDARD_DEVIATION => Self::read_heights,
+                _ => Self::read,
             };
             let other = read(&path)?;
             let place = |file: &Self| (file.raster.width, file.raster.height, file.transform);

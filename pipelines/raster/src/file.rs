@@ -1,7 +1,8 @@
 //! Reading of a raster file: its description, and its pixels as `f32` with `NaN` where they are missing.
 
 use super::{
-    BandInfo, Colour, Crs, GeoTransform, GridSpec, RasterError, Window, bounded, drivers, masks, messages, siblings,
+    BandInfo, Colour, Crs, GeoTransform, GridSpec, RasterError, Result, Window, bounded, drivers, masks, messages,
+    siblings,
 };
 use gdal::raster::{ColorInterpretation, GdalDataType};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
@@ -60,7 +61,7 @@ pub(super) trait Composite: Send {
     fn first(&self) -> &RasterFile;
 
     /// The values of the given bands of a window, one band after the other; `NaN` where nothing is known.
-    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError>;
+    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>>;
 
     /// Sets the band of opacity of its files, where they have one.
     fn set_opacity(&mut self, band: Option<usize>);
@@ -95,16 +96,15 @@ impl RasterFile {
     ///
     /// # Errors
     /// [`RasterError::Missing`], [`RasterError::Unreadable`], [`RasterError::NotAnImage`] or [`RasterError::Damaged`].
-    pub fn open(path: &Path) -> Result<Self, RasterError> {
+    pub fn open(path: &Path) -> Result<Self> {
         let not_an_image = |reason| RasterError::NotAnImage(path.to_owned(), reason);
         if path.to_str().is_none() {
             let reason = "its name is not UTF-8; rename the file".to_owned();
             return Err(RasterError::Unreadable(path.to_owned(), reason));
         }
         let siblings = if is_virtual(path) { None } else { siblings::check(path)? };
-        let siblings: Option<Vec<&str>> = siblings
-            .as_ref()
-            .map(|names| names.iter().map(String::as_str).collect());
+        let siblings = siblings.as_ref();
+        let siblings: Option<Vec<&str>> = siblings.map(|names| names.iter().map(String::as_str).collect());
         let open = |drivers: &[&str]| {
             let options = DatasetOptions {
                 open_flags: GdalOpenFlags::GDAL_OF_READONLY | GdalOpenFlags::GDAL_OF_RASTER,
@@ -252,7 +252,7 @@ impl RasterFile {
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
-    pub fn read(&self, window: Window, bands: &[usize]) -> Result<Raster, RasterError> {
+    pub fn read(&self, window: Window, bands: &[usize]) -> Result<Raster> {
         self.check_size(window, bands.len())?;
         let mut raster = Raster::filled(window.width, window.height, bands.len(), f32::NAN);
         let rows = (SAMPLES_AT_ONCE / (window.width * bands.len()).max(1)).max(1);
@@ -274,17 +274,11 @@ impl RasterFile {
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
-    pub fn read_reduced(&self, window: Window, factor: usize, bands: &[usize]) -> Result<Raster, RasterError> {
+    pub fn read_reduced(&self, window: Window, factor: usize, bands: &[usize]) -> Result<Raster> {
         let factor = factor.max(1);
         let (width, height) = (window.width / factor, window.height / factor);
-        self.check_size(
-            Window {
-                width,
-                height,
-                ..window
-            },
-            bands.len(),
-        )?;
+        let reduced = Window::new((window.col0, window.row0), (width, height));
+        self.check_size(reduced, bands.len())?;
         let mut raster = Raster::filled(width, height, bands.len(), f32::NAN);
         if width == 0 {
             return Ok(raster);
@@ -293,25 +287,20 @@ impl RasterFile {
         let rows = (SAMPLES_AT_ONCE / (columns * factor * bands.len()).max(1)).max(1);
         for first in (0..height).step_by(rows) {
             let count = rows.min(height - first);
-            let part = Window {
-                col0: window.col0,
-                row0: window.row0 + first * factor,
-                width: columns,
-                height: count * factor,
-            };
+            let start = (window.col0, window.row0 + first * factor);
+            let part = Window::new(start, (columns, count * factor));
             let values = self.read_part(part, bands)?;
             for (band, plane) in values.chunks_exact(columns * part.height).enumerate() {
                 let out = &mut raster.plane_mut(band)[first * width..][..count * width];
-                out.par_chunks_mut(width)
-                    .zip(plane.par_chunks(columns * factor))
-                    .for_each(|(out, rows)| average_rows(out, rows, factor));
+                let rows = out.par_chunks_mut(width).zip(plane.par_chunks(columns * factor));
+                rows.for_each(|(out, rows)| average_rows(out, rows, factor));
             }
         }
         Ok(raster)
     }
 
     /// Refuses a window that would fill the memory, unless the file is long enough to hold its samples.
-    fn check_size(&self, window: Window, bands: usize) -> Result<(), RasterError> {
+    fn check_size(&self, window: Window, bands: usize) -> Result<()> {
         let claimed = window.width as u128 * window.height as u128 * bands as u128;
         let beside = ["ige", "dat"].map(|extension| self.path.with_extension(extension));
         let bytes = |path: &PathBuf| std::fs::metadata(path).map_or(0, |known| u128::from(known.len()));
@@ -329,7 +318,7 @@ impl RasterFile {
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read, as [`RasterFile::read`].
-    pub fn read_all(&self) -> Result<Raster, RasterError> {
+    pub fn read_all(&self) -> Result<Raster> {
         let bands: Vec<usize> = (0..self.bands.len()).collect();
         self.read(self.whole(), &bands)
     }
@@ -339,7 +328,7 @@ impl RasterFile {
     ///
     /// # Errors
     /// [`RasterError::Damaged`] when the pixels cannot be read.
-    pub fn read_doubles(&self, band: usize) -> Result<Vec<f64>, RasterError> {
+    pub fn read_doubles(&self, band: usize) -> Result<Vec<f64>> {
         self.check_size(self.whole(), 1)?;
         let size = self.size();
         let read = || (self.dataset().rasterband(band + 1)?).read_as::<f64>((0, 0), size, size, None);
@@ -349,7 +338,7 @@ impl RasterFile {
 
     /// Refuses a file with a block that would fill the memory, unless the file is long enough to hold it (pixels are
     /// read by whole blocks), and a truncated raw file.
-    fn check_bytes(&self) -> Result<(), RasterError> {
+    fn check_bytes(&self) -> Result<()> {
         let dataset = self.dataset();
         let held = std::fs::metadata(&self.path).map_or(u64::MAX, |known| known.len());
         let mut claimed = 0u128;
@@ -379,7 +368,7 @@ impl RasterFile {
     }
 
     /// The values of the given bands of a window, one band after the other; `NaN` where nothing is known.
-    pub(super) fn read_part(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+    pub(super) fn read_part(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>> {
         match &self.pixels {
             Pixels::File(dataset) => {
                 let mut values = Vec::with_capacity(window.width * window.height * bands.len());
@@ -392,7 +381,7 @@ impl RasterFile {
         }
     }
 
-    fn read_band(&self, dataset: &Dataset, window: Window, band: usize) -> Result<Vec<f32>, RasterError> {
+    fn read_band(&self, dataset: &Dataset, window: Window, band: usize) -> Result<Vec<f32>> {
         let (origin, size) = (
             (window.col0 as isize, window.row0 as isize),
             (window.width, window.height),
@@ -493,7 +482,7 @@ impl GeoRaster {
     ///
     /// # Errors
     /// [`RasterError::NotGeoreferenced`], and the errors of [`RasterFile::open`] and [`RasterFile::read`].
-    pub fn read(path: &Path) -> Result<Self, RasterError> {
+    pub fn read(path: &Path) -> Result<Self> {
         let file = RasterFile::open(path)?;
         let transform = file.geo_transform();
         Ok(Self {

@@ -1,7 +1,7 @@
 //! Heights of geoids above the WGS 84 ellipsoid, from PROJ's grids. Nothing is downloaded: a missing grid is an error
 //! that names it.
 
-use super::{Crs, CrsTransform, GridSpec, RasterError, messages};
+use super::{Crs, CrsTransform, GridSpec, RasterError, Result, messages};
 use gdal::spatial_ref::{AxisMappingStrategy, CoordTransform, CoordTransformOptions, SpatialRef};
 
 /// A model of mean sea level.
@@ -45,14 +45,13 @@ impl Geoid {
     /// # Errors
     /// The errors of `Crs::from_definition`, and [`RasterError::UnknownCrs`] for a vertical part other than EGM96 and
     /// EGM2008.
-    pub fn of_definition(definition: &str) -> Result<(Crs, Option<Self>), RasterError> {
+    pub fn of_definition(definition: &str) -> Result<(Crs, Option<Self>)> {
         let whole = Crs::from_definition(definition)?;
         if !whole.has_vertical_datum() {
             return Ok((whole, None));
         }
-        let parts = definition
-            .split_once('+')
-            .filter(|(horizontal, _)| horizontal.contains(':'));
+        let parts = definition.split_once('+');
+        let parts = parts.filter(|(horizontal, _)| horizontal.contains(':'));
         let geoid = parts.and_then(|(_, vertical)| match vertical.parse() {
             Ok(5773) => Some(Self::Egm96),
             Ok(3855) => Some(Self::Egm2008),
@@ -69,7 +68,7 @@ impl Geoid {
     ///
     /// # Errors
     /// [`RasterError::UnknownCrs`] when `crs` has heights of its own or no EPSG code.
-    pub fn compound(self, crs: &Crs) -> Result<Crs, RasterError> {
+    pub fn compound(self, crs: &Crs) -> Result<Crs> {
         let refused = |reason: &str| RasterError::UnknownCrs(crs.name().to_owned(), reason.to_owned());
         if crs.has_vertical_datum() {
             return Err(refused("it has a vertical datum of its own beside --geoid"));
@@ -92,7 +91,7 @@ impl Undulation {
     ///
     /// # Errors
     /// [`RasterError::MissingGrid`] when PROJ has none.
-    pub fn new(geoid: Geoid) -> Result<Self, RasterError> {
+    pub fn new(geoid: Geoid) -> Result<Self> {
         for grid in geoid.grids() {
             // PROJ makes a pipeline without its grid: only a transformed height proves that the grid is installed.
             if let Ok(transform) = messages::collect_strictly(|| transform(grid)) {
@@ -113,14 +112,13 @@ impl Undulation {
     ///
     /// # Errors
     /// [`RasterError::Transform`] where the grid has no value.
-    pub fn at(&self, lon_deg: f64, lat_deg: f64) -> Result<f64, RasterError> {
+    pub fn at(&self, lon_deg: f64, lat_deg: f64) -> Result<f64> {
         let (mut x, mut y, mut z) = ([lon_deg], [lat_deg], [0.0]);
         let done = messages::collect_strictly(|| self.transform.transform_coords(&mut x, &mut y, &mut z));
         let failed = |reason: String| RasterError::Transform(format!("heights above {}", self.geoid.name()), reason);
         done.map_err(failed)?;
-        Some(z[0])
-            .filter(|z| z.is_finite())
-            .ok_or_else(|| failed("its grid has no value there".into()))
+        let known = Some(z[0]).filter(|z| z.is_finite());
+        known.ok_or_else(|| failed("its grid has no value there".into()))
     }
 }
 
@@ -158,7 +156,7 @@ impl GeoidGrid {
     /// # Errors
     /// [`RasterError::MissingGrid`], and [`RasterError::Transform`] where a node lies outside of the geoid's grid or of
     /// the coordinate system; `RasterError::UnknownCrs` for a system that PROJ cannot transform.
-    pub fn new(geoid: Geoid, grid: &GridSpec) -> Result<Self, RasterError> {
+    pub fn new(geoid: Geoid, grid: &GridSpec) -> Result<Self> {
         let undulation = Undulation::new(geoid)?;
         let to_lon_lat = CrsTransform::to_lon_lat(&grid.crs)?;
         let nodes_for = |pixels: usize| pixels.div_ceil(SPACING_PX) + 1;

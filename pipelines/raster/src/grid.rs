@@ -1,7 +1,7 @@
 //! Positions of pixels: geotransforms with pixel centres at integers, map grids, and their conversion to the local
 //! frame.
 
-use super::{Crs, CrsTransform, RasterError};
+use super::{Crs, CrsTransform, RasterError, Result};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 
 /// An affine map from pixel coordinates (centres at integers) to map coordinates.
@@ -105,15 +105,25 @@ impl GridSpec {
     /// The part of the grid that begins at a column and a row and has `size` columns and rows.
     #[must_use]
     pub fn part(&self, (col0, row0): (usize, usize), (width, height): (usize, usize)) -> Self {
-        Self {
+        let mut part = Self {
             width,
             height,
-            transform: GeoTransform {
-                origin: self.transform.map_from_pixel(col0 as f64, row0 as f64),
-                ..self.transform
-            },
-            crs: self.crs.clone(),
-        }
+            ..self.clone()
+        };
+        part.transform.origin = self.transform.map_from_pixel(col0 as f64, row0 as f64);
+        part
+    }
+
+    /// Grid of cells that are `factor` times as wide, the last ones of a row or column in part outside.
+    #[must_use]
+    pub fn reduced(&self, factor: usize) -> Self {
+        let mut small = self.part((0, 0), (self.width.div_ceil(factor), self.height.div_ceil(factor)));
+        // The centre of a coarse cell is the mean of the centres of the cells that it replaces.
+        let middle = (factor - 1) as f64 / 2.0;
+        small.transform.origin = self.transform.map_from_pixel(middle, middle);
+        small.transform.per_col = self.transform.per_col.map(|step| step * factor as f64);
+        small.transform.per_row = self.transform.per_row.map(|step| step * factor as f64);
+        small
     }
 
     /// The north-up grid of `crs`, with pixels of `gsd_m` metres snapped to whole multiples of it, that covers a
@@ -122,7 +132,7 @@ impl GridSpec {
     /// # Errors
     /// `RasterError::Transform` when `crs` does not cover the place, or the grid would have more than 2e9 pixels;
     /// `RasterError::UnknownCrs` when PROJ cannot transform to it.
-    pub fn covering(frame: &LocalFrame, rectangle_m: [f64; 4], crs: &Crs, gsd_m: f64) -> Result<Self, RasterError> {
+    pub fn covering(frame: &LocalFrame, rectangle_m: [f64; 4], crs: &Crs, gsd_m: f64) -> Result<Self> {
         const POINTS_PER_EDGE: usize = 16;
         let size = gsd_m / crs.metres_per_unit();
         let transform = CrsTransform::from_lon_lat(crs)?;
@@ -135,10 +145,9 @@ impl GridSpec {
                 let geo = frame.geo_from_enu(nalgebra::Vector3::new(corner[0], corner[1], 0.0));
                 let (x, y) = transform.apply(geo.lon_deg, geo.lat_deg)?;
                 // Across the antimeridian, degrees continue beyond 180, so that the grid is no wider.
-                let x = if crs.is_geographic() {
-                    around(x, frame.origin.lon_deg)
-                } else {
-                    x
+                let x = match crs.is_geographic() {
+                    true => around(x, frame.origin.lon_deg),
+                    false => x,
                 };
                 low = [low[0].min(x), low[1].min(y)];
                 high = [high[0].max(x), high[1].max(y)];
@@ -187,7 +196,7 @@ impl EnuGrid {
     /// # Errors
     /// `RasterError::Transform` when a node lies outside of the coordinate system; `RasterError::UnknownCrs` when PROJ
     /// cannot transform from it.
-    pub fn new(frame: &LocalFrame, grid: &GridSpec, heights_m: (f64, f64)) -> Result<Self, RasterError> {
+    pub fn new(frame: &LocalFrame, grid: &GridSpec, heights_m: (f64, f64)) -> Result<Self> {
         const SPACING_PX: usize = 16;
         let transform = CrsTransform::to_lon_lat(&grid.crs)?;
         // At least one metre apart, so that the interpolation is defined.

@@ -1,7 +1,7 @@
 //! Heights in metres, from scaled integers and from other units.
 
 use super::dsm_bands::STANDARD_DEVIATION;
-use super::{GeoRaster, RasterError, RasterFile};
+use super::{GeoRaster, RasterError, RasterFile, Result};
 use heliosplat::Raster;
 use std::path::Path;
 
@@ -14,7 +14,7 @@ impl RasterFile {
     /// # Errors
     /// [`RasterError::HeightUnit`] for a unit that is no known length, [`RasterError::Damaged`] when the pixels cannot
     /// be read.
-    pub fn read_heights(&self, band: usize) -> Result<Raster, RasterError> {
+    pub fn read_heights(&self, band: usize) -> Result<Raster> {
         let mut heights = self.read(self.whole(), &[band])?;
         let unit_m = self.metres_per_height(band)?;
         self.scale(band, unit_m, &mut heights.values);
@@ -22,7 +22,7 @@ impl RasterFile {
     }
 
     /// Metres per unit of a band of heights: of its own unit, else of the vertical coordinate system, else 1.
-    fn metres_per_height(&self, band: usize) -> Result<f64, RasterError> {
+    fn metres_per_height(&self, band: usize) -> Result<f64> {
         let unit = self.bands.get(band).map_or("", |band| band.unit.trim());
         if unit.is_empty() {
             return Ok(self.crs().and_then(|crs| crs.metres_per_height()).unwrap_or(1.0));
@@ -52,7 +52,7 @@ impl GeoRaster {
     /// # Errors
     /// A file that cannot be opened or read or has no georeferencing, as [`GeoRaster::read`];
     /// [`RasterError::HeightUnit`] for a unit that is no known length.
-    pub fn read_heights(path: &Path) -> Result<Self, RasterError> {
+    pub fn read_heights(path: &Path) -> Result<Self> {
         let mut found = Self::read(path)?;
         let file = RasterFile::open(path)?;
         let unit_m = file.metres_per_height(0)?;

@@ -42,6 +42,9 @@ pub use write::{
 
 use std::path::{Path, PathBuf};
 
+/// Result of work on rasters.
+pub type Result<T, E = RasterError> = std::result::Result<T, E>;
+
 /// Errors of raster files. Every message names the file and the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum RasterError {

@@ -4,7 +4,7 @@
 //! columns and rows, which the caller derives from their cameras.
 
 use super::file::{Composite, RasterFile};
-use super::{RasterError, Window};
+use super::{Result, Window};
 use heliosplat::Raster;
 use rayon::prelude::*;
 
@@ -58,18 +58,13 @@ impl Composite for Pansharpening {
     }
 
     /// `NaN` where either image has none.
-    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>> {
         let pan = self.panchromatic.read(window, &[0])?;
         let size = self.multispectral.size();
         let across = Taps::along(self.relation, 0, window.col0..window.col0 + window.width, size.0);
         let down = Taps::along(self.relation, 1, window.row0..window.row0 + window.height, size.1);
         let all: Vec<usize> = (0..self.multispectral.bands.len()).collect();
-        let part = Window {
-            col0: across.first,
-            row0: down.first,
-            width: across.count,
-            height: down.count,
-        };
+        let part = Window::new((across.first, down.first), (across.count, down.count));
         let colours = self.multispectral.read(part, &all)?;
         let mut resampled = resample(&colours, &across, &down);
         let plane = pan.plane_len();
@@ -132,9 +127,8 @@ fn interpolate(weights: [f32; 4], neighbour: impl Fn(usize) -> f32) -> f32 {
         return f32::NAN;
     }
     let known = weights.iter().zip(values).filter(|(_, value)| !value.is_nan());
-    let (sum, total) = known.fold((0.0, 0.0), |(sum, total), (weight, value)| {
-        (sum + weight * value, total + weight)
-    });
+    let add = |(sum, total), (weight, value)| (sum + weight * value, total + weight);
+    let (sum, total) = known.fold((0.0, 0.0), add);
     sum / total
 }
 
@@ -194,7 +188,7 @@ mod tests {
         paths
     }
 
-    fn open_pair(pan: &Path, colours: &Path) -> Result<RasterFile, RasterError> {
+    fn open_pair(pan: &Path, colours: &Path) -> Result<RasterFile> {
         Ok(RasterFile::pansharpened(
             RasterFile::open(pan)?,
             RasterFile::open(colours)?,

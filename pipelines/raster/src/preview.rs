@@ -1,7 +1,7 @@
 //! Pictures to look at: hillshade, stretched colour, a mask over a picture; written as PNG.
 
-use super::RasterError;
 use super::write::write_atomically;
+use super::{RasterError, Result};
 use heliosplat::Raster;
 use heliosplat_grid::statistics::quantile;
 use image::{ImageFormat, Rgb, RgbImage};
@@ -15,7 +15,7 @@ pub const UNKNOWN: Rgb<u8> = Rgb([40, 40, 48]);
 ///
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`](super::write_cog).
-pub fn write_png(path: &Path, picture: &RgbImage) -> Result<(), RasterError> {
+pub fn write_png(path: &Path, picture: &RgbImage) -> Result<()> {
     let mut bytes = Cursor::new(Vec::new());
     let written = picture.write_to(&mut bytes, ImageFormat::Png);
     written.map_err(|error| RasterError::Write(path.to_owned(), error.to_string()))?;

@@ -1,7 +1,7 @@
 //! Checks of an image and of the files beside it before GDAL opens them: GDAL blocks on pipes, and reads texts of any
 //! length whole.
 
-use crate::RasterError;
+use crate::{RasterError, Result};
 use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -20,7 +20,7 @@ const NODES_MAX: usize = 100_000;
 
 /// Names of the files in an image's folder, for GDAL, which otherwise lists the folder itself; `None` where it cannot
 /// be listed. Refuses an image that is no regular file or has a file beside it that must not be opened.
-pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>, RasterError> {
+pub(super) fn check(path: &Path) -> Result<Option<Vec<String>>> {
     let Ok(known) = fs::metadata(path) else {
         return Err(RasterError::Missing(path.to_owned()));
     };
@@ -70,7 +70,7 @@ fn unreadable(path: &Path, reason: String) -> RasterError {
 }
 
 /// Refuses a file that cannot be read, and an HFA file whose pixels are in another folder.
-pub(super) fn check_pixels(path: &Path) -> Result<(), RasterError> {
+pub(super) fn check_pixels(path: &Path) -> Result<()> {
     let file = File::open(path).map_err(|error| unreadable(path, format!("{error}; check its permissions")))?;
     match hfa_leads_away(file) {
         Some(true) => {

@@ -1,14 +1,14 @@
 //! An image whose bands are in several files, read as one.
 
 use super::file::{Composite, RasterFile};
-use super::{RasterError, Window};
+use super::{RasterError, Result, Window};
 
 impl RasterFile {
     /// Files of equal size as one image with the bands of all; path and metadata are those of the first.
     ///
     /// # Errors
     /// [`RasterError::NotAnImage`] when their sizes differ, `RasterError::Gdal` without files.
-    pub fn stacked(files: Vec<Self>) -> Result<Self, RasterError> {
+    pub fn stacked(files: Vec<Self>) -> Result<Self> {
         let Some(first) = files.first() else {
             return Err(RasterError::Gdal("an image of no files".to_owned()));
         };
@@ -37,12 +37,11 @@ impl Composite for Stack {
     /// Bands of separate files have no opacity.
     fn set_opacity(&mut self, _band: Option<usize>) {}
 
-    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>> {
         let mut values = Vec::with_capacity(window.width * window.height * bands.len());
         let places = || {
-            self.0
-                .iter()
-                .flat_map(|file| (0..file.bands.len()).map(move |place| (file, place)))
+            let files = self.0.iter();
+            files.flat_map(|file| (0..file.bands.len()).map(move |place| (file, place)))
         };
         for (file, place) in bands.iter().filter_map(|band| places().nth(*band)) {
             values.extend(file.read_part(window, &[place])?);

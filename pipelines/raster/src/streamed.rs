@@ -6,7 +6,7 @@
 
 use super::temporary::{TemporaryFolder, target};
 use super::write::{NODATA, add_statistics, cog_options, describe, with_nodata};
-use super::{ImageSpec, RasterError, messages};
+use super::{ImageSpec, RasterError, Result, messages};
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DriverManager};
 use heliosplat::Raster;
@@ -24,7 +24,7 @@ impl StreamedCog {
     ///
     /// # Errors
     /// A full disk, a refused permission or another failure to write, as [`super::write_cog`].
-    pub fn create(path: &Path, spec: &ImageSpec) -> Result<Self, RasterError> {
+    pub fn create(path: &Path, spec: &ImageSpec) -> Result<Self> {
         let folder = TemporaryFolder::beside(path)?;
         let rows = folder.path().join("rows.tif");
         let Raster {
@@ -56,7 +56,7 @@ impl StreamedCog {
     ///
     /// # Errors
     /// A full disk, a refused permission or another failure to write, as [`super::write_cog`].
-    pub fn write_rows(&mut self, row0: usize, rows: &Raster) -> Result<(), RasterError> {
+    pub fn write_rows(&mut self, row0: usize, rows: &Raster) -> Result<()> {
         let size = (rows.width, rows.height);
         messages::collect_strictly(|| {
             for band in 0..rows.bands {
@@ -73,7 +73,7 @@ impl StreamedCog {
     ///
     /// # Errors
     /// A full disk, a refused permission or another failure to write, as [`super::write_cog`]; nothing is left behind.
-    pub fn finish(mut self) -> Result<(), RasterError> {
+    pub fn finish(mut self) -> Result<()> {
         let finished = self.folder.path().join("finished.tif");
         messages::collect_strictly(|| self.dataset.flush_cache()).map_err(|reason| failed(&self.path, reason))?;
         add_statistics(&self.dataset);
@@ -83,9 +83,8 @@ impl StreamedCog {
             self.dataset.create_copy(&driver, &finished, &options)?.close()
         })
         .map_err(|reason| failed(&self.path, reason))?;
-        let done = std::fs::File::open(&finished)
-            .and_then(|file| file.sync_all())
-            .and_then(|()| std::fs::rename(&finished, target(&self.path)));
+        let synced = std::fs::File::open(&finished).and_then(|file| file.sync_all());
+        let done = synced.and_then(|()| std::fs::rename(&finished, target(&self.path)));
         done.map_err(|error| RasterError::from_io(&self.path, &error))
     }
 }

@@ -1,7 +1,7 @@
 //! An image of several tiles, read as one.
 
 use super::file::{Composite, RasterFile};
-use super::{BandInfo, RasterError, Window};
+use super::{BandInfo, RasterError, Result, Window};
 use std::path::PathBuf;
 
 /// The last column and row that a tile may begin at: images have no more.
@@ -23,7 +23,7 @@ impl RasterFile {
     /// # Errors
     /// As [`RasterFile::open`], for any tile; [`RasterError::NotAnImage`] when tiles have different bands or begin
     /// beyond the largest column or row; `RasterError::Gdal` without tiles.
-    pub fn tiled(tiles: &[Tile]) -> Result<Self, RasterError> {
+    pub fn tiled(tiles: &[Tile]) -> Result<Self> {
         let files = tiles.iter().map(|tile| Self::open(&tile.path));
         let files = files.collect::<Result<Vec<_>, _>>()?;
         let Some(first) = files.first() else {
@@ -69,7 +69,7 @@ impl Composite for Mosaic {
     }
 
     /// The last tile counts in an overlap.
-    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>, RasterError> {
+    fn read(&self, window: Window, bands: &[usize]) -> Result<Vec<f32>> {
         let plane = window.width * window.height;
         let mut values = vec![f32::NAN; plane * bands.len()];
         for ([col0, row0], file) in &self.0 {
@@ -80,15 +80,8 @@ impl Composite for Mosaic {
             if left >= right || top >= bottom {
                 continue;
             }
-            let part = file.read(
-                Window {
-                    col0: left - col0,
-                    row0: top - row0,
-                    width: right - left,
-                    height: bottom - top,
-                },
-                bands,
-            )?;
+            let window = Window::new((left - col0, top - row0), (right - left, bottom - top));
+            let part = file.read(window, bands)?;
             let first = (top - window.row0) * window.width + left - window.col0;
             for (band, out) in values.chunks_exact_mut(plane).enumerate() {
                 let rows = part.plane(band).chunks_exact(part.width);

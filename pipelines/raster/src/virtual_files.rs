@@ -1,7 +1,7 @@
 //! Files on GDAL's virtual file systems, such as archives and object stores.
 
 use super::write::write_atomically_with;
-use super::{RasterError, is_remote, messages};
+use super::{RasterError, Result, is_remote, messages};
 use std::ffi::{CStr, CString};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -10,7 +10,7 @@ use std::time::Duration;
 ///
 /// # Errors
 /// [`RasterError::Missing`] when there is no such folder, or it cannot be reached.
-pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>, RasterError> {
+pub fn list_virtual(folder: &Path) -> Result<Vec<PathBuf>> {
     if is_remote(folder) {
         messages::allow_network();
     }
@@ -54,12 +54,12 @@ const PART: usize = 8 << 20;
 /// # Errors
 /// [`RasterError::Write`] with GDAL's message, and the operating system's errors of the source as
 /// `RasterError::from_io` converts them.
-pub fn deliver(source: &Path, target: &Path) -> Result<(), RasterError> {
+pub fn deliver(source: &Path, target: &Path) -> Result<()> {
     messages::allow_network();
     patiently(target, || put(source, target))
 }
 
-fn put(source: &Path, target: &Path) -> Result<(), RasterError> {
+fn put(source: &Path, target: &Path) -> Result<()> {
     let mut file = std::fs::File::open(source).map_err(|error| RasterError::from_io(source, &error))?;
     let failed = |reason: String| RasterError::Write(target.to_owned(), reason);
     let mut fault = None;
@@ -85,7 +85,7 @@ fn put(source: &Path, target: &Path) -> Result<(), RasterError> {
 ///
 /// # Errors
 /// [`RasterError::Missing`] when there is no such file, and the errors of writing, also when the file ends early.
-pub fn fetch(source: &Path, target: &Path) -> Result<(), RasterError> {
+pub fn fetch(source: &Path, target: &Path) -> Result<()> {
     let (mut file, bytes) = open(source).ok_or_else(|| RasterError::Missing(source.to_owned()))?;
     let mut left = bytes;
     write_atomically_with(target, |out| {

@@ -4,7 +4,7 @@
 //! complete. A full disk or a refused permission is therefore an error of the operating system with its own name, and
 //! the target is never incomplete.
 
-use super::{Crs, GeoTransform, RasterError, drivers, messages, temporary};
+use super::{Crs, GeoTransform, RasterError, Result, drivers, messages, temporary};
 use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterBand, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 use heliosplat::Raster;
@@ -81,7 +81,7 @@ impl Bytes {
 ///
 /// # Errors
 /// [`RasterError::DiskFull`], [`RasterError::Permission`] or [`RasterError::Write`]; nothing is left behind.
-pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
+pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<()> {
     let dataset = in_memory(path, spec, SampleType::F32)?;
     write_copy(path, &dataset, "COG", &cog_options("AVERAGE"))
 }
@@ -91,7 +91,7 @@ pub fn write_cog(path: &Path, spec: &ImageSpec) -> Result<(), RasterError> {
 ///
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`].
-pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) -> i32) -> Result<(), RasterError> {
+pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) -> i32) -> Result<()> {
     let is_known = |value: &f32| value.is_finite() && *value != 0.0;
     let converted = |value: f32| Some(value).filter(is_known).map_or(0, &convert);
     let dataset = build(path, spec, converted, Some(0.0))?;
@@ -103,7 +103,7 @@ pub fn write_integer_cog(path: &Path, spec: &ImageSpec, convert: impl Fn(f32) ->
 ///
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`].
-pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<(), RasterError> {
+pub fn write_byte_cog(path: &Path, spec: &ImageSpec, bytes: Bytes) -> Result<()> {
     let nodata = bytes.nodata();
     let resampling = if bytes == Bytes::Mask { "MODE" } else { "AVERAGE" };
     let convert = |value: f32| if value.is_nan() { nodata } else { value.round() as u8 };
@@ -129,7 +129,7 @@ pub(super) fn cog_options(resampling: &str) -> [String; 6] {
 ///
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`].
-pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<(), RasterError> {
+pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<()> {
     let predictor = format!("PREDICTOR={}", if sample == SampleType::F32 { 3 } else { 2 });
     let options = ["COMPRESS=DEFLATE", &predictor, "INTERLEAVE=BAND", "BIGTIFF=IF_SAFER"];
     let dataset = in_memory(path, spec, sample)?;
@@ -142,7 +142,7 @@ pub fn write_geotiff(path: &Path, spec: &ImageSpec, sample: SampleType) -> Resul
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`]; those of
 /// [`super::RasterFile::open`] for the image.
-pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> Result<(), RasterError> {
+pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> Result<()> {
     let source = super::RasterFile::open(image)?;
     let copy = messages::collect_strictly(|| {
         let driver = drivers::memory()?;
@@ -156,7 +156,7 @@ pub fn copy_with_rpc(image: &Path, target: &Path, rpc: &[(String, String)]) -> R
     write_copy(target, &copy, "GTiff", &["COMPRESS=DEFLATE", "BIGTIFF=IF_SAFER"])
 }
 
-fn in_memory(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<Dataset, RasterError> {
+fn in_memory(path: &Path, spec: &ImageSpec, sample: SampleType) -> Result<Dataset> {
     match sample {
         SampleType::F32 => build(path, spec, with_nodata, Some(NODATA)),
         // `as` saturates and turns NaN into 0.
@@ -176,7 +176,7 @@ fn build<T: GdalType + Copy>(
     spec: &ImageSpec,
     convert: impl Fn(f32) -> T,
     nodata: Option<f32>,
-) -> Result<Dataset, RasterError> {
+) -> Result<Dataset> {
     let raster = spec.raster;
     let size = (raster.width, raster.height);
     messages::collect_strictly(|| {
@@ -272,7 +272,7 @@ impl Drop for MemoryFile {
     }
 }
 
-fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, options: &[S]) -> Result<(), RasterError> {
+fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, options: &[S]) -> Result<()> {
     let memory = MemoryFile::new();
     if driver == "COG" {
         add_statistics(dataset);
@@ -292,7 +292,7 @@ fn write_copy<S: AsRef<str>>(path: &Path, dataset: &Dataset, driver: &str, optio
 ///
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`].
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RasterError> {
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     write_atomically_with(path, |file| file.write_all(bytes))
 }
 
@@ -300,10 +300,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), RasterError> {
 ///
 /// # Errors
 /// A full disk, a refused permission or another failure to write, as [`write_cog`].
-pub fn write_atomically_with(
-    path: &Path,
-    fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>,
-) -> Result<(), RasterError> {
+pub fn write_atomically_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let failed = |error: &std::io::Error| RasterError::from_io(path, error);
     let target = temporary::target(path);
     let mut file = temporary::file_beside(&target).map_err(|error| failed(&error))?;
@@ -317,7 +314,7 @@ pub fn write_atomically_with(
 ///
 /// # Errors
 /// A refused permission or another failure to remove, as [`write_cog`].
-pub fn remove(path: &Path) -> Result<(), RasterError> {
+pub fn remove(path: &Path) -> Result<()> {
     match std::fs::remove_file(path) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(RasterError::from_io(path, &error)),
         _ => Ok(()),

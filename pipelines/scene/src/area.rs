@@ -1,6 +1,6 @@
 //! A requested area of a scene's ground, and the window of each image that shows it.
 
-use super::{Area, SceneError};
+use super::{Area, Result};
 use heliosplat_delivery::IndexImage;
 use heliosplat_raster::{Crs, CrsTransform, RasterError, Window};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
@@ -8,10 +8,8 @@ use nalgebra::Vector3;
 
 /// Margin around an area that is read with it, metres: the margin of a model and the pointing error of the cameras.
 const MARGIN_M: f64 = 12.0;
-/// Further margin around the window, pixels.
-const MARGIN_PX: f64 = 16.0;
-/// Least number of columns or rows of a window.
-const LEAST_PX: usize = 32;
+/// Further margin around a window that is read, and its least number of columns or rows, pixels.
+pub(super) const READ_PX: (f64, usize) = (16.0, 32);
 /// Points per edge of a rectangle for a transformation between coordinate systems, since edges may become curved.
 const POINTS_PER_EDGE: usize = 8;
 
@@ -79,7 +77,7 @@ impl AreaRequest {
     }
 
     /// Longitudes and latitudes of points along the edges, degrees.
-    fn outline(&self) -> Result<Vec<[f64; 2]>, SceneError> {
+    fn outline(&self) -> Result<Vec<[f64; 2]>> {
         let [west, south, east, north] = self.unwrapped();
         let transform = self.transform()?;
         let mut points = Vec::with_capacity(4 * POINTS_PER_EDGE);
@@ -99,7 +97,7 @@ impl AreaRequest {
     }
 
     /// Centre of the rectangle at a height, metres above the ellipsoid.
-    pub(super) fn place(&self, height_m: f64) -> Result<GeoPoint, SceneError> {
+    pub(super) fn place(&self, height_m: f64) -> Result<GeoPoint> {
         let [west, south, east, north] = self.unwrapped();
         let (x, y) = (0.5 * (west + east), 0.5 * (south + north));
         let (lon_deg, lat_deg) = match self.transform()? {
@@ -110,7 +108,7 @@ impl AreaRequest {
     }
 
     /// Bounding rectangle in a local frame, metres.
-    pub(super) fn area(&self, frame: &LocalFrame) -> Result<Area, SceneError> {
+    pub(super) fn area(&self, frame: &LocalFrame) -> Result<Area> {
         let point = |[lon_deg, lat_deg]: [f64; 2]| {
             let enu = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m));
             [enu.x, enu.y]
@@ -174,33 +172,29 @@ pub(super) fn window_over(
     for x in [area.west_m - MARGIN_M, area.east_m + MARGIN_M] {
         for y in [area.south_m - MARGIN_M, area.north_m + MARGIN_M] {
             for height_m in [altitude_range_m.0, altitude_range_m.1] {
-                let at = image
-                    .rpc
-                    .project(frame.geo_from_enu(Vector3::new(x, y, height_m - origin_m)));
+                let ground = frame.geo_from_enu(Vector3::new(x, y, height_m - origin_m));
+                let at = image.rpc.project(ground);
                 places.push([at.col, at.row]);
             }
         }
     }
-    window_around(places, image.size)
+    window_around(places, image.size, READ_PX)
 }
 
-/// Window of an image of `size` around places (columns, rows), with a margin; `None` where too little of the image is
-/// left.
-pub(super) fn window_around(places: Vec<[f64; 2]>, size: (usize, usize)) -> Option<Window> {
+/// Window of an image of `size` around places (columns, rows), with a margin, pixels; `None` where fewer columns or rows
+/// than the second of the limits are left.
+pub(super) fn window_around(places: Vec<[f64; 2]>, size: (usize, usize), limits: (f64, usize)) -> Option<Window> {
+    let (margin_px, least_px) = limits;
     let [low, high] = bounds(places);
     let along = |axis: usize, size: usize| {
         // `as` saturates: a window that begins before the image is clipped at the first pixel.
-        let first = (low[axis] - MARGIN_PX).floor().max(0.0) as usize;
-        let end = ((high[axis] + MARGIN_PX).ceil().max(0.0) as usize + 1).min(size);
+        let first = (low[axis] - margin_px).floor().max(0.0) as usize;
+        let end = ((high[axis] + margin_px).ceil().max(0.0) as usize + 1).min(size);
         (first, end.saturating_sub(first))
     };
     let ((col0, width), (row0, height)) = (along(0, size.0), along(1, size.1));
-    (width >= LEAST_PX && height >= LEAST_PX).then_some(Window {
-        col0,
-        row0,
-        width,
-        height,
-    })
+    let window = Window::new((col0, row0), (width, height));
+    (width >= least_px && height >= least_px).then_some(window)
 }
 
 #[cfg(test)]

@@ -1,10 +1,10 @@
 //! Training images of a scene with unknown altitude range: their cameras, the ground that two of them may share, and
 //! downscaled pixels, which suffice to estimate the altitudes of the surface.
 
-use super::area::window_around;
+use super::area::{READ_PX, window_around};
 use super::cut::{footprint_of, gsd_m, localise, whole};
 use super::footprint::Footprint;
-use super::{AltitudeRange, Area, IngestOptions, SceneError};
+use super::{AltitudeRange, Area, IngestOptions, Result, SceneError};
 use heliosplat::Raster;
 use heliosplat_delivery::{Index, IndexImage};
 use heliosplat_raster::Window;
@@ -30,7 +30,7 @@ impl<'a> SceneCameras<'a> {
     ///
     /// # Errors
     /// Those of [`super::Cut::of`].
-    pub fn new(index: &'a Index, options: &IngestOptions) -> Result<Self, SceneError> {
+    pub fn new(index: &'a Index, options: &IngestOptions) -> Result<Self> {
         let range = index.altitudes(options.altitude_range_m, None, &mut Vec::new())?;
         let images: Vec<&IndexImage> = index.training().collect();
         let Some(first) = images.first() else {
@@ -91,7 +91,7 @@ impl<'a> SceneCameras<'a> {
     ///
     /// # Errors
     /// When the camera does not see that altitude.
-    pub fn gsd_m(&self, image: usize, altitude_m: f64) -> Result<f64, SceneError> {
+    pub fn gsd_m(&self, image: usize, altitude_m: f64) -> Result<f64> {
         let image = self.images[image];
         gsd_m(image, &whole(image), &self.frame, altitude_m)
     }
@@ -101,7 +101,7 @@ impl<'a> SceneCameras<'a> {
     ///
     /// # Errors
     /// When the camera does not reach one of the altitudes.
-    pub fn parallax(&self, image: usize, (low_m, high_m): (f64, f64)) -> Result<[f64; 2], SceneError> {
+    pub fn parallax(&self, image: usize, (low_m, high_m): (f64, f64)) -> Result<[f64; 2]> {
         let image = self.images[image];
         let (width, height) = image.size;
         let at = |height_m| {
@@ -122,7 +122,7 @@ impl<'a> SceneCameras<'a> {
         first: usize,
         second: usize,
         (low_m, high_m): (f64, f64),
-    ) -> Result<Option<[Window; 2]>, SceneError> {
+    ) -> Result<Option<[Window; 2]>> {
         let pair = [self.images[first], self.images[second]];
         let mut places = [Vec::new(), Vec::new()];
         for step in 0..ALTITUDES {
@@ -142,10 +142,9 @@ impl<'a> SceneCameras<'a> {
             }
         }
         let [first_places, second_places] = places;
-        let window = window_around(first_places, pair[0].size);
-        Ok(window
-            .zip(window_around(second_places, pair[1].size))
-            .map(|(a, b)| [a, b]))
+        let window = window_around(first_places, pair[0].size, READ_PX);
+        let windows = window.zip(window_around(second_places, pair[1].size, READ_PX));
+        Ok(windows.map(|(a, b)| [a, b]))
     }
 
     /// Mean of the bands of a window of an image, averaged down by `factor` along each axis; `NaN` for pixels without
@@ -153,7 +152,7 @@ impl<'a> SceneCameras<'a> {
     ///
     /// # Errors
     /// When the pixels or the mask cannot be read.
-    pub fn read_reduced(&self, image: usize, window: Window, factor: usize) -> Result<Raster, SceneError> {
+    pub fn read_reduced(&self, image: usize, window: Window, factor: usize) -> Result<Raster> {
         let image = self.images[image];
         let raster = image.file().read_reduced(window, factor, &image.bands.file_bands)?;
         let plane = raster.plane_len();

@@ -1,6 +1,6 @@
 //! View of an image: the crop that shows an area, its camera, its sun and its pass.
 
-use crate::area::bounds;
+use crate::area::window_around;
 use crate::{Area, ImageSun, Scene, SceneImage};
 use glam::{DVec3, Vec3};
 use heliosplat::ProjectiveCamera;
@@ -12,7 +12,8 @@ use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
 /// Margin around the area, pixels: losses with a window, and splats across the edge, need the surroundings.
-const MARGIN_PX: f64 = 8.0;
+/// Smaller windows show too little to be compared.
+const SHOWN_PX: (f64, usize) = (8.0, 17);
 
 /// Smallest window of an image, with a margin, that shows all of `area` between two altitudes (metres of the scene's
 /// frame); `None` where the image shows none of it.
@@ -23,16 +24,7 @@ pub fn window_of(image: &SceneImage, area: &Area, up_m: (f64, f64)) -> Option<Wi
             places.extend([up_m.0, up_m.1].map(|z| image.pinhole.map.project(Vector3::new(x, y, z))));
         }
     }
-    let [low, high] = bounds(places);
-    let limits = [image.pixels.width as f64, image.pixels.height as f64];
-    let first = [0, 1].map(|a| (low[a] - MARGIN_PX).floor().max(0.0));
-    let last = [0, 1].map(|a| (high[a] + MARGIN_PX).ceil().min(limits[a] - 1.0));
-    (last[0] - first[0] >= 16.0 && last[1] - first[1] >= 16.0).then(|| Window {
-        col0: first[0] as usize,
-        row0: first[1] as usize,
-        width: (last[0] - first[0]) as usize + 1,
-        height: (last[1] - first[1]) as usize + 1,
-    })
+    window_around(places, (image.pixels.width, image.pixels.height), SHOWN_PX)
 }
 
 /// Camera of the engine for a rectangle of the image of `map`, with projections moved by `shift_px` (columns, rows;
@@ -77,10 +69,8 @@ pub fn date_groups(images: &[&SceneImage]) -> Vec<u32> {
 
 /// Number of the pass of each image, as [`date_groups`], from times and suns.
 pub fn lights_in_groups(lights: &[(Option<Timestamp>, Option<SunPosition>)]) -> Vec<u32> {
-    let in_time = lights
-        .iter()
-        .zip(0..)
-        .filter_map(|(light, place)| Some((light.0?, place)));
+    let numbered = lights.iter().zip(0..);
+    let in_time = numbered.filter_map(|(light, place)| Some((light.0?, place)));
     let mut in_time: Vec<(Timestamp, usize)> = in_time.collect();
     in_time.sort();
     // First image of each image's group, as a provisional name of the group.

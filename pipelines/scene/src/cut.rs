@@ -2,7 +2,7 @@
 
 use super::area::{AreaRequest, window_over};
 use super::footprint::{self, Footprint};
-use super::{AltitudeRange, Area, IngestOptions, SceneError, Split};
+use super::{AltitudeRange, Area, IngestOptions, Result, SceneError, Split};
 use heliosplat::splat::rasterise::MOST_CHANNELS;
 use heliosplat_delivery::{Index, IndexImage, bands_in_words};
 use heliosplat_grid::statistics::upper_median;
@@ -62,7 +62,7 @@ impl Cut {
     /// # Errors
     /// [`SceneError`] where bands differ, fewer than two images overlap or show the area, or the altitude range is
     /// empty.
-    pub fn of(index: &Index, options: &IngestOptions, warnings: &mut Vec<String>) -> Result<Self, SceneError> {
+    pub fn of(index: &Index, options: &IngestOptions, warnings: &mut Vec<String>) -> Result<Self> {
         check_bands(&index.images)?;
         let altitude = index.altitudes(options.altitude_range_m, options.altitude_from_ties_m, warnings)?;
         let limits_m = altitude.limits_m();
@@ -137,9 +137,8 @@ impl Cut {
             is_part: false,
             counts_per_unit: None,
         };
-        cut.must_be_shown_twice(&index.source, || {
-            wanted.map_or_else(|| cut.area.to_string(), AreaRequest::to_string)
-        })?;
+        let area = || wanted.map_or_else(|| cut.area.to_string(), AreaRequest::to_string);
+        cut.must_be_shown_twice(&index.source, area)?;
         Ok(cut)
     }
 
@@ -147,7 +146,7 @@ impl Cut {
     ///
     /// # Errors
     /// [`SceneError::NotCovered`] where fewer than two training images show it.
-    pub fn part(&self, index: &Index, part: &Area) -> Result<Self, SceneError> {
+    pub fn part(&self, index: &Index, part: &Area) -> Result<Self> {
         let shown = self.training().filter_map(|placed| {
             let image = index.images.get(placed.image)?;
             let window = window_over(image, &self.frame, part, self.altitude.limits_m())?;
@@ -169,7 +168,7 @@ impl Cut {
     }
 
     /// Fails with [`SceneError::NotCovered`] for fewer than two training images.
-    pub(super) fn must_be_shown_twice(&self, source: &Path, area: impl Fn() -> String) -> Result<(), SceneError> {
+    pub(super) fn must_be_shown_twice(&self, source: &Path, area: impl Fn() -> String) -> Result<()> {
         match self.training().count() {
             0 | 1 => Err(not_covered(source, &area())),
             _ => Ok(()),
@@ -188,11 +187,9 @@ pub(super) fn pixels_of(window: &Window) -> f64 {
 }
 
 /// Ground point of a pixel at a height above the ellipsoid, metres.
-pub(super) fn localise(image: &IndexImage, col: f64, row: f64, height_m: f64) -> Result<GeoPoint, SceneError> {
-    image
-        .rpc
-        .localise(heliosplat_rpc::ImagePoint { col, row }, height_m)
-        .map_err(|source| camera_fault(image, height_m, source))
+pub(super) fn localise(image: &IndexImage, col: f64, row: f64, height_m: f64) -> Result<GeoPoint> {
+    let ground = image.rpc.localise(heliosplat_rpc::ImagePoint { col, row }, height_m);
+    ground.map_err(|source| camera_fault(image, height_m, source))
 }
 
 /// Error for a camera that does not work over its image.
@@ -201,7 +198,7 @@ pub(super) fn camera_fault(image: &IndexImage, height_m: f64, source: heliosplat
 }
 
 /// Outer corners of an image on the ground, metres of a local frame.
-pub(super) fn footprint_of(image: &IndexImage, frame: &LocalFrame, height_m: f64) -> Result<Footprint, SceneError> {
+pub(super) fn footprint_of(image: &IndexImage, frame: &LocalFrame, height_m: f64) -> Result<Footprint> {
     let (width, height) = image.size;
     let (right, bottom) = (width as f64 - 0.5, height as f64 - 0.5);
     let corners = [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)];
@@ -209,12 +206,12 @@ pub(super) fn footprint_of(image: &IndexImage, frame: &LocalFrame, height_m: f64
         let enu = frame.enu_from_geo(localise(image, col, row, height_m)?);
         Ok([enu.x, enu.y])
     };
-    let corners = corners.iter().map(on_ground).collect::<Result<_, SceneError>>()?;
+    let corners = corners.iter().map(on_ground).collect::<Result<_>>()?;
     Ok(Footprint::new(corners))
 }
 
 /// Ground sampling distance at the centre of a window: square root of the pixel's ground area, metres.
-pub(super) fn gsd_m(image: &IndexImage, window: &Window, frame: &LocalFrame, height_m: f64) -> Result<f64, SceneError> {
+pub(super) fn gsd_m(image: &IndexImage, window: &Window, frame: &LocalFrame, height_m: f64) -> Result<f64> {
     let middle = |first: usize, count: usize| first as f64 + (count as f64 - 1.0) / 2.0;
     let (col, row) = (middle(window.col0, window.width), middle(window.row0, window.height));
     let ground = |col, row| Ok::<_, SceneError>(frame.enu_from_geo(localise(image, col, row, height_m)?));
@@ -224,7 +221,7 @@ pub(super) fn gsd_m(image: &IndexImage, window: &Window, frame: &LocalFrame, hei
 }
 
 /// Refuses images of different bands, and more bands than a model renders.
-fn check_bands(images: &[IndexImage]) -> Result<(), SceneError> {
+fn check_bands(images: &[IndexImage]) -> Result<()> {
     let Some(first) = images.first() else {
         return Ok(());
     };
@@ -236,12 +233,8 @@ fn check_bands(images: &[IndexImage]) -> Result<(), SceneError> {
         return Ok(());
     };
     let [found, expected] = [other, first].map(|image| bands_in_words(&image.bands.kinds));
-    Err(SceneError::MixedBands(
-        other.path.clone(),
-        found,
-        first.path.clone(),
-        expected,
-    ))
+    let (other, first) = (other.path.clone(), first.path.clone());
+    Err(SceneError::MixedBands(other, found, first, expected))
 }
 
 fn not_covered(source: &Path, area: &str) -> SceneError {
@@ -258,7 +251,7 @@ fn no_overlap(images: &[Placed], altitude_m: f64) -> SceneError {
 }
 
 /// Least overlap of two footprints, square metres.
-fn least_overlap_m2(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<f64, SceneError> {
+fn least_overlap_m2(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<f64> {
     let gsd_m = |first: &Placed| gsd_m(first.image, &whole(first.image), frame, altitude_m);
     let first = images.first().map(gsd_m).transpose()?;
     Ok(LEAST_OVERLAP_PX.powi(2) * first.unwrap_or(0.0).powi(2))
@@ -280,10 +273,9 @@ pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
     let upper = upper_median(&mut gsds).unwrap_or(f64::NAN);
     gsds.sort_by(f64::total_cmp);
     let lower = gsds.get(gsds.len().saturating_sub(1) / 2).copied().unwrap_or(upper);
-    let median = if gsds.len() > 3 && upper > UNLIKE * lower {
-        lower
-    } else {
-        upper
+    let median = match gsds.len() > 3 && upper > UNLIKE * lower {
+        true => lower,
+        false => upper,
     };
     // Multiples of an integer divisor are nearer to decimal numbers than multiples of a fraction.
     let in_digits = |digits: i32| {
@@ -298,11 +290,10 @@ pub(super) fn nominal_gsd_m(mut gsds: Vec<f64>) -> f64 {
 }
 
 /// Corners of the training images on the ground.
-fn training_footprints(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<Vec<Footprint>, SceneError> {
+fn training_footprints(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<Vec<Footprint>> {
     let training = images.iter().filter(|placed| placed.image.split == Split::Train);
-    training
-        .map(|placed| footprint_of(placed.image, frame, altitude_m))
-        .collect()
+    let footprints = training.map(|placed| footprint_of(placed.image, frame, altitude_m));
+    footprints.collect()
 }
 
 /// Middle of the ground that all training images show, or else of the ground that two show.
@@ -320,10 +311,9 @@ fn overlapping<'a>(
     frame: &LocalFrame,
     altitude_m: f64,
     warnings: &mut Vec<String>,
-) -> Result<Vec<Placed<'a>>, SceneError> {
-    let footprints = images
-        .iter()
-        .map(|placed| footprint_of(placed.image, frame, altitude_m));
+) -> Result<Vec<Placed<'a>>> {
+    let all = images.iter();
+    let footprints = all.map(|placed| footprint_of(placed.image, frame, altitude_m));
     let footprints = footprints.collect::<Result<Vec<_>, _>>()?;
     let least_m2 = least_overlap_m2(&images, frame, altitude_m)?;
     let is_training = |index: usize| images[index].image.split == Split::Train;
@@ -356,7 +346,7 @@ const ANOTHER_PLACE: f64 = 3.0;
 
 /// Refuses images of two places: those of the first image, and others far from all of them. The ground of all images
 /// would be empty but for a small part.
-fn one_place(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<(), SceneError> {
+fn one_place(images: &[Placed], frame: &LocalFrame, altitude_m: f64) -> Result<()> {
     let mut others = Vec::with_capacity(images.len());
     for placed in images {
         let footprint = footprint_of(placed.image, frame, altitude_m)?;

@@ -1,6 +1,6 @@
 //! The cut stored with a run (`cut.json`): all quantities that decide which pixels and cameras were used.
 
-use super::{AltitudeRange, Area, BandKind, Cut, CutImage, RpcPreference, SceneError, SceneImage, Split};
+use super::{AltitudeRange, Area, BandKind, Cut, CutImage, Result, RpcPreference, SceneImage, Split};
 use heliosplat_delivery::{Counts, FileIdentity, Hashes, Index, IndexImage};
 use heliosplat_raster::{Window, is_virtual, sha256};
 use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
@@ -91,7 +91,7 @@ impl KeptCut {
     ///
     /// # Errors
     /// When a file cannot be read.
-    pub fn identify(&mut self, images: &[SceneImage], hashes: &mut Hashes) -> Result<(), SceneError> {
+    pub fn identify(&mut self, images: &[SceneImage], hashes: &mut Hashes) -> Result<()> {
         for kept in &mut self.images {
             if !kept.is_whole() {
                 let read = images.iter().find(|image| image.name == kept.name);
@@ -124,9 +124,8 @@ impl KeptCut {
     /// # Errors
     /// The first difference in words: a missing or changed image, other bands, or another camera.
     pub fn again(&self, index: &Index) -> Result<Cut, String> {
-        let by_name: BTreeMap<&str, usize> = (index.images.iter().enumerate())
-            .map(|(place, image)| (image.name.as_str(), place))
-            .collect();
+        let numbered = index.images.iter().enumerate();
+        let by_name: BTreeMap<&str, usize> = numbered.map(|(place, image)| (image.name.as_str(), place)).collect();
         let mut images = Vec::with_capacity(self.images.len());
         for kept in &self.images {
             let place = by_name.get(kept.name.as_str());

@@ -22,6 +22,7 @@ mod values;
 
 pub use area::AreaRequest;
 pub use cut::{Cut, CutImage};
+use heliosplat_delivery::Result;
 pub use heliosplat_delivery::{
     AltitudeRange, AltitudeSource, BandKind, FileIdentity, Finding, Hashes, ImageSun, Index, RelitTruth, RpcPreference,
     SceneError, Seen, Severity, Split, SunSource, Truth, camera_of, image_described, images_listed, places_in_til,
@@ -143,7 +144,7 @@ impl Scene {
     ///
     /// # Errors
     /// The first [`SceneError`] found; nothing is written anywhere.
-    pub fn open(path: &Path, options: &IngestOptions) -> Result<Self, SceneError> {
+    pub fn open(path: &Path, options: &IngestOptions) -> Result<Self> {
         Self::of(&Index::open(path, options.rpc)?, options)
     }
 
@@ -151,7 +152,7 @@ impl Scene {
     ///
     /// # Errors
     /// Those of [`Self::open`].
-    pub fn of(index: &Index, options: &IngestOptions) -> Result<Self, SceneError> {
+    pub fn of(index: &Index, options: &IngestOptions) -> Result<Self> {
         let mut warnings = Vec::new();
         let cut = Cut::of(index, options, &mut warnings)?;
         Self::read(index, &cut, warnings)

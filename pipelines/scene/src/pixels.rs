@@ -1,6 +1,6 @@
 //! Pixel values: missing ones marked, display values made linear, all images of a scene in one unit.
 
-use super::{BandKind, SceneError, Values, saturation};
+use super::{BandKind, Result, SceneError, Values, saturation};
 use heliosplat::Raster;
 use heliosplat::shade::display;
 use heliosplat_delivery::{Counts, IndexImage};
@@ -17,7 +17,7 @@ const UNIT_QUANTILE: f64 = 0.999;
 ///
 /// Satellite counts are proportional to radiance, with 8 bits too, unless `scene.toml` or the file (item `RADIOMETRY`)
 /// states that they are encoded for display.
-pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String>) -> Result<Raster, SceneError> {
+pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String>) -> Result<Raster> {
     let file = image.file();
     let mut raster = file.read(window, &image.bands.file_bands)?;
     drop(file);
@@ -29,10 +29,8 @@ pub(super) fn read(image: &IndexImage, window: Window, warnings: &mut Vec<String
     }
     if image.counts == Counts::Display {
         let white = white_of(&image.data_type, &raster);
-        raster
-            .values
-            .iter_mut()
-            .for_each(|value| *value = display::decode(*value / white));
+        let values = raster.values.iter_mut();
+        values.for_each(|value| *value = display::decode(*value / white));
     }
     Ok(raster)
 }
@@ -118,7 +116,7 @@ pub(super) fn blank_unusable(
     image: &IndexImage,
     (window, factor): (Window, usize),
     warnings: &mut Vec<String>,
-) -> Result<(), SceneError> {
+) -> Result<()> {
     let Some(path) = &image.usable_mask else {
         return Ok(());
     };

@@ -2,7 +2,7 @@
 
 use super::cut::{camera_fault, gsd_m, nominal_gsd_m};
 use super::kept::KeptCut;
-use super::{Cut, CutImage, ImageSun, Scene, SceneError, SceneImage, Split, Values, pixels, truth, values};
+use super::{Cut, CutImage, ImageSun, Result, Scene, SceneError, SceneImage, Split, Values, pixels, truth, values};
 use heliosplat::Raster;
 use heliosplat_delivery::{Index, IndexImage};
 use heliosplat_raster::Window;
@@ -22,7 +22,7 @@ impl Scene {
     ///
     /// # Errors
     /// [`SceneError`] when pixels cannot be read or a camera cannot be used.
-    pub fn read(index: &Index, cut: &Cut, mut warnings: Vec<String>) -> Result<Self, SceneError> {
+    pub fn read(index: &Index, cut: &Cut, mut warnings: Vec<String>) -> Result<Self> {
         warnings.splice(0..0, index.warnings.iter().cloned());
         let mut found_truth = index.truth.clone();
         truth::keep_if_here(&mut found_truth, &cut.frame, &cut.area, &mut warnings);
@@ -98,11 +98,12 @@ impl Scene {
 
 /// Pixels of all images of a cut. An image without any pixel is left out where the cut is a part, and an error
 /// otherwise.
-fn read_all<'a>(index: &'a Index, cut: &Cut, warnings: &mut Vec<String>) -> Result<Vec<Read<'a>>, SceneError> {
-    let placed: Vec<(&IndexImage, CutImage)> = (cut.images.iter())
+fn read_all<'a>(index: &'a Index, cut: &Cut, warnings: &mut Vec<String>) -> Result<Vec<Read<'a>>> {
+    let parts = cut.images.iter();
+    let placed: Vec<(&IndexImage, CutImage)> = parts
         .filter_map(|part| Some((index.images.get(part.image)?, *part)))
         .collect();
-    let read: Vec<(Result<Raster, SceneError>, Vec<String>)> = placed
+    let read: Vec<(Result<Raster>, Vec<String>)> = placed
         .par_iter()
         .map(|(image, part)| {
             let mut warnings = Vec::new();
@@ -135,18 +136,15 @@ fn values_of(image: &IndexImage, sun: &ImageSun, counts_per_unit: f64) -> Values
         time: image.acquisition.time,
     };
     let stated = image.radiometry.as_ref();
-    stated.map_or_else(Values::default, |found| {
-        Values::of_metadata(found, &bands, &light, counts_per_unit)
-    })
+    let values = |found| Values::of_metadata(found, &bands, &light, counts_per_unit);
+    stated.map_or_else(Values::default, values)
 }
 
-fn fit_pinholes(images: &[Read], cut: &Cut, warnings: &mut Vec<String>) -> Result<Vec<PinholeFit>, SceneError> {
+fn fit_pinholes(images: &[Read], cut: &Cut, warnings: &mut Vec<String>) -> Result<Vec<PinholeFit>> {
     /// Residual with a warning, pixels: a larger one is visible as blur in the model.
     const WORTH_A_WARNING_PX: f64 = 0.25;
-    let fits: Vec<_> = images
-        .par_iter()
-        .map(|read| fit(read.image, &read.part.window, &cut.frame, cut.altitude.limits_m()))
-        .collect();
+    let fit_of = |read: &Read| fit(read.image, &read.part.window, &cut.frame, cut.altitude.limits_m());
+    let fits: Vec<_> = images.par_iter().map(fit_of).collect();
     let mut good = Vec::with_capacity(fits.len());
     for (read, fit) in images.iter().zip(fits) {
         let fit = fit?;
@@ -170,7 +168,7 @@ pub(super) fn fit(
     window: &Window,
     frame: &LocalFrame,
     altitude_range_m: (f64, f64),
-) -> Result<PinholeFit, SceneError> {
+) -> Result<PinholeFit> {
     let window = ImageWindow {
         col0: window.col0 as f64,
         row0: window.row0 as f64,

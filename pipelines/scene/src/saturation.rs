@@ -58,11 +58,8 @@ pub fn at_limits_of_eight_bits(image: &Raster) -> bool {
 fn ceiling(values: &[f32]) -> f32 {
     // Comparisons with NaN are false.
     let greatest = |below: f32| {
-        values
-            .iter()
-            .copied()
-            .filter(|v| *v < below)
-            .fold(f32::NEG_INFINITY, f32::max)
+        let values = values.iter().copied().filter(|v| *v < below);
+        values.fold(f32::NEG_INFINITY, f32::max)
     };
     let most = greatest(f32::INFINITY);
     let next = greatest(most);

@@ -4,7 +4,7 @@ use super::area::window_over;
 use super::cut::{footprint_of, gsd_m, localise, nominal_gsd_m, pixels_of};
 use super::footprint::Footprint;
 use super::read::fit;
-use super::{Area, AreaRequest, Cut, CutImage, IngestOptions, SceneError, Split, Truth, truth};
+use super::{Area, AreaRequest, Cut, CutImage, IngestOptions, Result, SceneError, Split, Truth, truth};
 use heliosplat_delivery::{Index, IndexImage};
 use heliosplat_raster::Window;
 use heliosplat_rpc::LocalFrame;
@@ -66,7 +66,7 @@ impl<'a> Survey<'a> {
     ///
     /// # Errors
     /// Those of [`Cut::of`].
-    pub fn of(index: &'a Index, options: &IngestOptions) -> Result<Self, SceneError> {
+    pub fn of(index: &'a Index, options: &IngestOptions) -> Result<Self> {
         let mut warnings = index.warnings.clone();
         let cut = Cut::of(index, options, &mut warnings)?;
         let mut truth = index.truth.clone();
@@ -132,7 +132,7 @@ impl<'a> Survey<'a> {
     }
 
     /// Local frame at the centre of a tile, the tile's ground in it, and the images that show the tile.
-    fn shown(&self, wanted: &AreaRequest) -> Result<(LocalFrame, Area, Vec<Shown<'_>>), SceneError> {
+    fn shown(&self, wanted: &AreaRequest) -> Result<(LocalFrame, Area, Vec<Shown<'_>>)> {
         let frame = LocalFrame::new(wanted.place(self.frame().origin.height_m)?);
         let area = wanted.area(&frame)?;
         let shown = placed(self.index, &self.cut).filter_map(|(image, part)| {
@@ -147,7 +147,7 @@ impl<'a> Survey<'a> {
     ///
     /// # Errors
     /// When the coordinates of the tile cannot be transformed.
-    pub fn tile(&self, wanted: &AreaRequest) -> Result<Option<TileSurvey>, SceneError> {
+    pub fn tile(&self, wanted: &AreaRequest) -> Result<Option<TileSurvey>> {
         let (_, area, seen) = self.shown(wanted)?;
         let covered = self.covered(&wanted.area(self.frame())?);
         let training = seen.iter().filter(|(_, split, _)| *split == Split::Train).count();
@@ -169,12 +169,11 @@ impl<'a> Survey<'a> {
     ///
     /// # Errors
     /// When the coordinates of the tile cannot be transformed, or a camera does not see it.
-    pub fn residual_px(&self, wanted: &AreaRequest) -> Result<f64, SceneError> {
+    pub fn residual_px(&self, wanted: &AreaRequest) -> Result<f64> {
         let (frame, _, shown) = self.shown(wanted)?;
-        let fits: Vec<_> = shown
-            .par_iter()
-            .map(|(image, _, window)| fit(image, window, &frame, self.altitude_range_m))
-            .collect();
+        let shown_fits = shown.par_iter();
+        let fits = shown_fits.map(|(image, _, window)| fit(image, window, &frame, self.altitude_range_m));
+        let fits: Vec<_> = fits.collect();
         fits.into_iter()
             .try_fold(0.0, |most, fit| Ok(f64::max(most, fit?.max_px)))
     }
@@ -204,7 +203,7 @@ fn placed<'a>(index: &'a Index, cut: &Cut) -> impl Iterator<Item = (&'a IndexIma
 }
 
 /// Displacement of the ground point of an image's centre per metre of altitude, metres east and north.
-fn parallax(image: &IndexImage, frame: &LocalFrame, (low_m, high_m): (f64, f64)) -> Result<[f64; 2], SceneError> {
+fn parallax(image: &IndexImage, frame: &LocalFrame, (low_m, high_m): (f64, f64)) -> Result<[f64; 2]> {
     let (width, height) = image.size;
     let at = |height_m| {
         let place = localise(image, width as f64 / 2.0, height as f64 / 2.0, height_m)?;
@@ -216,9 +215,8 @@ fn parallax(image: &IndexImage, frame: &LocalFrame, (low_m, high_m): (f64, f64))
 
 fn widest_base_to_height(parallaxes: &[[f64; 2]]) -> f64 {
     let bases = |[x, y]: [f64; 2]| {
-        parallaxes
-            .iter()
-            .map(move |[other_x, other_y]| (x - other_x).hypot(y - other_y))
+        let others = parallaxes.iter();
+        others.map(move |[other_x, other_y]| (x - other_x).hypot(y - other_y))
     };
     parallaxes.iter().copied().flat_map(bases).fold(0.0, f64::max)
 }

@@ -153,10 +153,9 @@ impl Values {
             reflectance.clear();
         }
         let is_reflectance = calibration.quantity == Quantity::Reflectance || (elevation_rad.is_some() && complete);
-        let kind = if is_reflectance {
-            ValueKind::Reflectance
-        } else {
-            ValueKind::Radiance
+        let kind = match is_reflectance {
+            true => ValueKind::Reflectance,
+            false => ValueKind::Radiance,
         };
         Self {
             kind,
@@ -199,9 +198,8 @@ impl FileBands<'_> {
         };
         let by_place = |place: usize| calibration.gains.get(&CalibratedBand::Place(place)).copied();
         let bands = self.kinds.iter().zip(self.places);
-        bands
-            .map(|(&kind, &place)| by_kind(kind).or_else(|| by_place(place)))
-            .collect()
+        let found = bands.map(|(&kind, &place)| by_kind(kind).or_else(|| by_place(place)));
+        found.collect()
     }
 }
 

@@ -7,9 +7,8 @@ pub fn machine_bytes() -> Option<u64> {
         "/sys/fs/cgroup/memory.max",
         "/sys/fs/cgroup/memory/memory.limit_in_bytes",
     ];
-    let allowed = limits
-        .iter()
-        .find_map(|path| std::fs::read_to_string(path).ok()?.trim().parse().ok());
+    let mut limits = limits.iter();
+    let allowed = limits.find_map(|path| std::fs::read_to_string(path).ok()?.trim().parse().ok());
     installed.into_iter().chain(allowed).min()
 }
 
