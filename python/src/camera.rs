@@ -100,10 +100,8 @@ fn same_length(arrays: &[&[f64]]) -> PyResult<()> {
 /// Pairs of numbers of `count` points, by threads that each write to a place of their own.
 fn in_chunks(count: usize, work: impl Fn(std::ops::Range<usize>) -> Vec<[f64; 2]> + Sync) -> (Vec<f64>, Vec<f64>) {
     let (mut first, mut second) = (vec![0.0; count], vec![0.0; count]);
-    let chunks = first
-        .par_chunks_mut(CHUNK)
-        .zip(second.par_chunks_mut(CHUNK))
-        .enumerate();
+    let chunks = first.par_chunks_mut(CHUNK);
+    let chunks = chunks.zip(second.par_chunks_mut(CHUNK)).enumerate();
     chunks.for_each(|(chunk, (first, second))| {
         let begin = chunk * CHUNK;
         for (place, [a, b]) in work(begin..begin + first.len()).into_iter().enumerate() {

@@ -84,10 +84,8 @@ pub(super) fn cut(bounds: [f64; 4], gsd_m: f64, side: usize) -> Vec<Block> {
             around,
         }
     };
-    (0..rows)
-        .flat_map(|row| (0..cols).map(move |col| (row, col)))
-        .map(block)
-        .collect()
+    let places = (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col)));
+    places.map(block).collect()
 }
 
 #[cfg(test)]

@@ -2,11 +2,11 @@
 //! that each tile is multiplied by the gains with which overlapping tiles agree best. Relit images are brought to one
 //! light.
 
-use super::BatchError;
 use super::blocks::{common, overlap};
 use super::layers::{ALBEDO, Layer};
 use super::mosaic::{Parts, Places};
 use super::plan::{MosaicTile, RUN};
+use super::{BatchError, Result};
 use heliosplat_products::export::Reference;
 use heliosplat_products::model;
 use heliosplat_products::relit_light::BandLight;
@@ -46,20 +46,12 @@ impl Colours {
     ///
     /// # Errors
     /// When a raster or a model of a tile cannot be read.
-    pub(super) fn find(
-        out: &Path,
-        tiles: &[MosaicTile],
-        gsd_m: f64,
-        sun: Option<&SunPosition>,
-    ) -> Result<Self, BatchError> {
-        let tiles: Vec<&MosaicTile> = tiles
-            .iter()
-            .filter(|tile| out.join(&tile.unit).join("dsm.tif").is_file())
-            .collect();
-        let ratios = overlaps(&tiles)
-            .par_iter()
-            .map(|&(a, b)| Ok(((a, b), ratios(out, [tiles[a], tiles[b]], gsd_m)?)))
-            .collect::<Result<Vec<_>, BatchError>>()?;
+    pub(super) fn find(out: &Path, tiles: &[MosaicTile], gsd_m: f64, sun: Option<&SunPosition>) -> Result<Self> {
+        let has_surface = |tile: &&MosaicTile| out.join(&tile.unit).join("dsm.tif").is_file();
+        let tiles: Vec<&MosaicTile> = tiles.iter().filter(has_surface).collect();
+        let of_pair = |(a, b)| Ok(((a, b), ratios(out, [tiles[a], tiles[b]], gsd_m)?));
+        let ratios = overlaps(&tiles).into_par_iter().map(of_pair);
+        let ratios = ratios.collect::<Result<Vec<_>>>()?;
         let bands = ratios.iter().map(|(_, ratios)| ratios.len()).max().unwrap_or(0);
         let mut gains = vec![vec![1.0; bands]; tiles.len()];
         for band in 0..bands {
@@ -87,16 +79,15 @@ impl Colours {
 
     /// Gains of the albedo of some tiles, band by band.
     pub(super) fn gains<'t>(&self, tiles: impl Iterator<Item = &'t str>) -> Vec<Vec<f64>> {
-        tiles
-            .map(|tile| self.gains.get(tile).cloned().unwrap_or_default())
-            .collect()
+        let of_tile = |tile| self.gains.get(tile).cloned().unwrap_or_default();
+        tiles.map(of_tile).collect()
     }
 
     /// Reads a file that [`Self::write`] wrote.
     ///
     /// # Errors
     /// When it cannot be read or is damaged.
-    pub(super) fn read(path: &Path) -> Result<Self, BatchError> {
+    pub(super) fn read(path: &Path) -> Result<Self> {
         let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", path.display()));
         let bytes = read_bytes(path, FILE_MAX).map_err(|error| failed(error.to_string()))?;
         serde_json::from_slice(&bytes).map_err(|error| failed(error.to_string()))
@@ -129,7 +120,7 @@ fn overlaps(tiles: &[&MosaicTile]) -> Vec<(usize, usize)> {
 }
 
 /// Ratios of the albedo of two tiles in their overlap, band by band; only the overlap is read.
-fn ratios(out: &Path, pair: [&MosaicTile; 2], gsd_m: f64) -> Result<Vec<Option<(f64, usize)>>, BatchError> {
+fn ratios(out: &Path, pair: [&MosaicTile; 2], gsd_m: f64) -> Result<Vec<Option<(f64, usize)>>> {
     let [a, b] = pair.map(|tile| tile.bounds);
     let common = common(a, b);
     let places = Places::of(common, gsd_m);

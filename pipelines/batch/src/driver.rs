@@ -3,10 +3,10 @@
 //! The standard input of a unit's process is a pipe that closes when this process ends, even if it is killed. The unit
 //! then saves its state and ends, and the next batch resumes from there.
 
-use super::BatchError;
 use super::plan::{Plan, Unit};
 use super::row::{self, log_of};
 use super::stamp::{finished, other_build};
+use super::{BatchError, Result};
 use heliosplat_fitting::program::build;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_pages::summary::{Row, State};
@@ -60,7 +60,7 @@ impl Batch<'_> {
     ///
     /// # Errors
     /// When a process cannot be started, or a unit waits for one that is not in the plan.
-    pub fn run(&self, session: &Session) -> Result<Vec<Row>, BatchError> {
+    pub fn run(&self, session: &Session) -> Result<Vec<Row>> {
         session.stop_gently();
         let units = &self.plan.units;
         let mut rows: Vec<Row> = units.iter().map(|unit| row::pending(unit, self.out)).collect();
@@ -70,28 +70,20 @@ impl Batch<'_> {
             }
         }
         let done = rows.iter().filter(|row| row.state == State::Skipped).count();
-        tracing::info!(
-            "Batch of {} units, {done} of them finished; up to {} at a time",
-            units.len(),
-            self.jobs
-        );
+        let (count, jobs) = (units.len(), self.jobs);
+        tracing::info!("Batch of {count} units, {done} of them finished; up to {jobs} at a time");
         let others: Vec<String> = units.iter().filter_map(|unit| other_build(self.out, unit)).collect();
         if let Some(other) = others.first() {
-            tracing::warn!(
-                "{} units of another build of the program ({other}; this is {}) are run again",
-                others.len(),
-                build()
-            );
+            let (count, own) = (others.len(), build());
+            tracing::warn!("{count} units of another build of the program ({other}; this is {own}) are run again");
         }
         let places: BTreeMap<&str, usize> = units.iter().zip(0..).map(|(unit, k)| (unit.id.as_str(), k)).collect();
         let place = |id: &String| {
             let found = places.get(id.as_str()).copied();
             found.ok_or_else(|| BatchError::no_unit(id))
         };
-        let waits = units
-            .iter()
-            .map(|unit| unit.after.iter().map(place).collect())
-            .collect::<Result<Vec<Vec<usize>>, _>>()?;
+        let waits = units.iter().map(|unit| unit.after.iter().map(place).collect());
+        let waits: Vec<Vec<usize>> = waits.collect::<Result<_, _>>()?;
         let order = order(units);
         let progress = session.progress("units", units.len() as u64);
         let mut running: Vec<Running> = Vec::new();
@@ -135,7 +127,7 @@ impl Batch<'_> {
         rows: &mut [Row],
         running: &mut Vec<Running<'u>>,
         session: &Session,
-    ) -> Result<(), BatchError> {
+    ) -> Result<()> {
         if running.len() >= self.jobs {
             return Ok(());
         }
@@ -171,7 +163,7 @@ impl Batch<'_> {
     }
 
     /// Starts a unit in a process of its own, with its log in its folder.
-    fn spawn(&self, unit: &Unit, threads: usize) -> Result<Child, BatchError> {
+    fn spawn(&self, unit: &Unit, threads: usize) -> Result<Child> {
         let failed = |reason: String| BatchError::Failed(format!("{}: {reason}", unit.id));
         create_folder(&self.out.join(&unit.id))?;
         let path = log_of(self.out, unit);
@@ -193,9 +185,8 @@ impl Batch<'_> {
             &every,
         ]);
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(log);
-        command
-            .spawn()
-            .map_err(|error| failed(format!("it cannot be started ({error})")))
+        let child = command.spawn();
+        child.map_err(|error| failed(format!("it cannot be started ({error})")))
     }
 
     fn ended(&self, row: &mut Row, running: &Running, code: Option<i32>, session: &Session) {

@@ -1,12 +1,12 @@
 //! The blocks of a mosaic as one: a virtual raster for each product, an overview with its page, and the root of the 3D
 //! Tiles. Memory is that of one block.
 
-use super::BatchError;
 use super::layers::ALBEDO;
 use super::mosaic::{Places, grid_of, nothing};
-use super::plan::JoinedWork;
+use super::plan::{JoinedWork, MosaicTile};
 use super::products::{SPLATS, SURFACE};
 use super::stamp::{self, Done, Stamp};
+use super::{BatchError, Result};
 use heliosplat::Raster;
 use heliosplat_pages::page::MOSAIC_FILE;
 use heliosplat_pages::view::OVERVIEW;
@@ -15,7 +15,7 @@ use heliosplat_products::blend::BANDS;
 use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_products::export::{TILESET, join_tilesets};
 use heliosplat_raster::virtual_raster::{Part, virtual_raster};
-use heliosplat_raster::{GridSpec, ImageSpec, RasterFile, preview, write_atomically, write_cog};
+use heliosplat_raster::{GridSpec, ImageSpec, RasterFile, bounded, preview, write_atomically, write_cog};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -51,7 +51,7 @@ impl Block {
 ///
 /// # Errors
 /// When a file of a block cannot be read, or one of the mosaic cannot be written.
-pub(super) fn join(work: &JoinedWork, unit: &str, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+pub(super) fn join(work: &JoinedWork, unit: &str, out: &Path, folder: &Path) -> Result<Done> {
     let grid = grid_of(work.bounds, work.gsd_m, &work.crs)?;
     let places = Places::of(work.bounds, work.gsd_m);
     let mut blocks = Vec::new();
@@ -76,9 +76,8 @@ pub(super) fn join(work: &JoinedWork, unit: &str, out: &Path, folder: &Path) -> 
     for name in [SPLATS, SURFACE] {
         let file = format!("{name}/{TILESET}");
         let children = blocks.iter().filter(|block| block.has(&file));
-        let children: Vec<(String, PathBuf)> = children
-            .map(|block| (format!("../../{}/{file}", block.name), block.folder.join(&file)))
-            .collect();
+        let paths = |block: &Block| (format!("../../{}/{file}", block.name), block.folder.join(&file));
+        let children: Vec<(String, PathBuf)> = children.map(paths).collect();
         if !children.is_empty() {
             join_tilesets(&folder.join(&file), &children)?;
             outputs.push(file);
@@ -95,7 +94,7 @@ pub(super) fn join(work: &JoinedWork, unit: &str, out: &Path, folder: &Path) -> 
 }
 
 /// Writes a virtual raster for each raster of the blocks, with the style of the first block that has one.
-fn virtual_rasters(grid: &GridSpec, blocks: &[Block], folder: &Path) -> Result<Vec<String>, BatchError> {
+fn virtual_rasters(grid: &GridSpec, blocks: &[Block], folder: &Path) -> Result<Vec<String>> {
     let files = blocks.iter().flat_map(|block| &block.stamp.outputs);
     let is_raster = |path: &&str| path.ends_with(".tif") && !path.contains('/');
     let names: BTreeSet<&str> = files.map(|output| output.path.as_str()).filter(is_raster).collect();
@@ -121,8 +120,9 @@ fn virtual_rasters(grid: &GridSpec, blocks: &[Block], folder: &Path) -> Result<V
         outputs.push(file);
         let style = name.replace(".tif", ".qml");
         if let Some(block) = with.iter().find(|block| block.has(&style)) {
-            let text = heliosplat_raster::bounded::read_text(&block.folder.join(&style))
-                .map_err(|error| BatchError::Failed(format!("{}/{style}: {error}", block.folder.display())))?;
+            let path = block.folder.join(&style);
+            let text = bounded::read_text(&path);
+            let text = text.map_err(|error| BatchError::Failed(format!("{}: {error}", path.display())))?;
             write_atomically(&folder.join(&style), text.as_bytes())?;
             outputs.push(style);
         }
@@ -131,30 +131,21 @@ fn virtual_rasters(grid: &GridSpec, blocks: &[Block], folder: &Path) -> Result<V
 }
 
 /// Writes the surface model and the albedo with larger cells into `folder`.
-fn overview(grid: &GridSpec, blocks: &[Block], work: &JoinedWork, folder: &Path) -> Result<Vec<String>, BatchError> {
+fn overview(grid: &GridSpec, blocks: &[Block], work: &JoinedWork, folder: &Path) -> Result<Vec<String>> {
     // A power of two, so that coarse cells end where blocks end.
     let steps = (0..).map(|power| 1usize << power);
     let is_small = |step: &usize| grid.width.div_ceil(*step) * grid.height.div_ceil(*step) <= OVERVIEW_CELLS;
     let factor = steps.into_iter().find(is_small).unwrap_or(1);
-    let mut small = grid.part((0, 0), (grid.width.div_ceil(factor), grid.height.div_ceil(factor)));
-    let middle = (factor - 1) as f64 / 2.0;
-    small.transform.origin = grid.transform.map_from_pixel(middle, middle);
-    small.transform.per_col = grid.transform.per_col.map(|step| step * factor as f64);
-    small.transform.per_row = grid.transform.per_row.map(|step| step * factor as f64);
-    let reduced = |name: &str| -> Result<Option<(Raster, Vec<String>)>, BatchError> {
+    let small = grid.reduced(factor);
+    let reduced = |name: &str| -> Result<Option<(Raster, Vec<String>)>> {
         let mut whole: Option<(Raster, Vec<String>)> = None;
         for block in blocks.iter().filter(|block| block.has(name)) {
             let file = RasterFile::open(&block.folder.join(name))?;
             let bands: Vec<usize> = (0..file.bands.len()).collect();
             let part = file.read_reduced(file.whole(), factor, &bands)?;
             let names = || file.bands.iter().map(|band| band.description.clone()).collect();
-            let all = || {
-                (
-                    Raster::filled(small.width, small.height, bands.len(), f32::NAN),
-                    names(),
-                )
-            };
-            let (all, _) = whole.get_or_insert_with(all);
+            let unknown = || Raster::filled(small.width, small.height, bands.len(), f32::NAN);
+            let (all, _) = whole.get_or_insert_with(|| (unknown(), names()));
             all.put(&part, (block.at[0] / factor, block.at[1] / factor));
         }
         Ok(whole)
@@ -193,12 +184,9 @@ fn overview(grid: &GridSpec, blocks: &[Block], work: &JoinedWork, folder: &Path)
 /// Metrics of the whole mosaic: means of those of the blocks, weighted with their cells.
 fn metrics(grid: &GridSpec, blocks: &[Block], work: &JoinedWork) -> Value {
     let mean = |pointer: &str, weight: &dyn Fn(&Block) -> Option<f64>| {
-        let known = blocks
-            .iter()
-            .filter_map(|block| Some((block.number(pointer)?, weight(block)?)));
-        let (sum, all) = known.fold((0.0, 0.0), |(sum, all), (value, weight)| {
-            (sum + value * weight, all + weight)
-        });
+        let known = |block: &Block| Some((block.number(pointer)?, weight(block)?));
+        let add = |(sum, all), (value, weight)| (sum + value * weight, all + weight);
+        let (sum, all) = blocks.iter().filter_map(known).fold((0.0, 0.0), add);
         (all > 0.0).then_some(sum / all)
     };
     let cells = |block: &Block| Some(block.number("/width")? * block.number("/height")?);
@@ -206,11 +194,11 @@ fn metrics(grid: &GridSpec, blocks: &[Block], work: &JoinedWork) -> Value {
     let known = |block: &Block| Some(block.number("/completeness")? * cells(block)?);
     let all_known: f64 = blocks.iter().filter_map(known).sum();
     let places = Places::of(work.bounds, work.gsd_m);
-    let tiles = work
-        .tiles
-        .iter()
-        .map(|tile| json!({"unit": tile.unit, "core": places.span(tile.core), "bounds": places.span(tile.bounds)}));
-    let tiles: Vec<Value> = tiles.collect();
+    let tile = |tile: &MosaicTile| {
+        let (core, bounds) = (places.span(tile.core), places.span(tile.bounds));
+        json!({"unit": tile.unit, "core": core, "bounds": bounds})
+    };
+    let tiles: Vec<Value> = work.tiles.iter().map(tile).collect();
     let mut metrics = json!({
         "tiles": tiles.len(),
         "blocks": blocks.iter().map(|block| block.name.as_str()).collect::<Vec<_>>(),

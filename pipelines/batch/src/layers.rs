@@ -1,7 +1,7 @@
 //! Rasters other than the surface model, merged from tiles with the blending weights of their surface models. Tiles
 //! that show another surface at a cell have no weight there.
 
-use super::BatchError;
+use super::Result;
 use super::mosaic::Parts;
 use heliosplat::Raster;
 use heliosplat_grid::statistics::upper_median;
@@ -19,9 +19,7 @@ const LEAST_CELLS: usize = 50;
 const DARK: f32 = 1e-4;
 
 /// One raster of each tile, in the order of the pieces; `None` for tiles without it.
-pub struct Layer {
-    rasters: Vec<Option<Raster>>,
-}
+pub struct Layer(Vec<Option<Raster>>);
 
 /// Rule that merges the rasters of overlapping tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,7 +37,7 @@ impl Layer {
     ///
     /// # Errors
     /// When a file is damaged or not on the grid of its tile's surface model.
-    pub fn read(out: &Path, parts: &Parts, name: &str) -> Result<Self, BatchError> {
+    pub fn read(out: &Path, parts: &Parts, name: &str) -> Result<Self> {
         Self::named(out, parts, |_| Some(name.to_owned()))
     }
 
@@ -47,15 +45,13 @@ impl Layer {
     ///
     /// # Errors
     /// When a file is damaged or not on the grid of its tile's surface model.
-    pub fn named(out: &Path, parts: &Parts, name: impl Fn(usize) -> Option<String>) -> Result<Self, BatchError> {
-        Ok(Self {
-            rasters: parts.rasters(out, name)?,
-        })
+    pub fn named(out: &Path, parts: &Parts, name: impl Fn(usize) -> Option<String>) -> Result<Self> {
+        Ok(Self(parts.rasters(out, name)?))
     }
 
     /// Multiplies every band of every tile by its gain; missing gains are 1.
     pub fn scale(&mut self, gains: &[Vec<f64>]) {
-        for (raster, gains) in self.rasters.iter_mut().zip(gains) {
+        for (raster, gains) in self.0.iter_mut().zip(gains) {
             let Some(raster) = raster else { continue };
             for (band, &gain) in gains.iter().enumerate().take(raster.bands) {
                 raster.plane_mut(band).iter_mut().for_each(|v| *v *= gain as f32);
@@ -65,7 +61,7 @@ impl Layer {
 
     /// Replaces every value by `change` of its tile, band and value, and the value of `other` there.
     pub(super) fn change(&mut self, other: &Self, change: impl Fn(usize, usize, f32, f32) -> f32) {
-        for (tile, (raster, other)) in self.rasters.iter_mut().zip(&other.rasters).enumerate() {
+        for (tile, (raster, other)) in self.0.iter_mut().zip(&other.0).enumerate() {
             let (Some(raster), Some(other)) = (raster, other) else {
                 continue;
             };
@@ -78,16 +74,12 @@ impl Layer {
 
     /// Number of bands that all rasters have; 0 without rasters.
     fn bands(&self) -> usize {
-        self.rasters
-            .iter()
-            .flatten()
-            .map(|raster| raster.bands)
-            .min()
-            .unwrap_or(0)
+        let bands = self.0.iter().flatten().map(|raster| raster.bands);
+        bands.min().unwrap_or(0)
     }
 
     fn value(&self, pieces: &[Piece], index: usize, band: usize, (col, row): (isize, isize)) -> f32 {
-        let raster = self.rasters[index].as_ref();
+        let raster = self.0[index].as_ref();
         raster.map_or(f32::NAN, |raster| pieces[index].value_of(raster, band, col, row))
     }
 
@@ -176,9 +168,7 @@ mod tests {
                 bounds: [bounds, [0, 20]],
             }
         };
-        let layer = Layer {
-            rasters: values.map(|v| Some(Raster::filled(30, 20, 1, v))).to_vec(),
-        };
+        let layer = Layer(values.map(|v| Some(Raster::filled(30, 20, 1, v))).to_vec());
         (vec![piece(0, [0, 20], [0, 30]), piece(10, [20, 40], [10, 40])], layer)
     }
 
@@ -208,7 +198,7 @@ mod tests {
     fn a_tile_on_another_surface_or_without_the_raster_does_not_count() {
         let (mut pieces, mut layer) = pair([1.0, 0.0]);
         pieces[0].raster.plane_mut(0)[5 * 30 + 25] = 120.0;
-        layer.rasters[0] = None;
+        layer.0[0] = None;
         let merged = layer.merged(&pieces, (40, 20), 0.5, Merge::Majority);
         assert_eq!(merged.at(0, 12, 5), 0.0, "what the other says");
         assert!(merged.at(0, 2, 5).is_nan(), "what none says");

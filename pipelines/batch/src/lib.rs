@@ -32,6 +32,9 @@ use heliosplat_raster::RasterError;
 use heliosplat_satellite::SatelliteError;
 use heliosplat_scene::SceneError;
 
+/// Result of a step of a batch.
+pub(crate) type Result<T, E = BatchError> = std::result::Result<T, E>;
+
 /// Failure to plan a batch or to run one of its units.
 #[derive(Debug, thiserror::Error)]
 pub enum BatchError {

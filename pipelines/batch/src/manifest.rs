@@ -1,7 +1,7 @@
 //! Manifest of a batch: areas, sets of images, presets.
 
-use super::BatchError;
 use super::blocks::SIDE_LEAST;
+use super::{BatchError, Result};
 use bytesize::ByteSize;
 use heliosplat_fitting::settings::Preset;
 use heliosplat_products::relight::LOWEST_SUN_DEG;
@@ -37,7 +37,6 @@ const OBJECT_STORES: [&str; 7] = [
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
     /// Folder on an object store to which products are copied, as a GDAL path such as `/vsis3/BUCKET/FOLDER`.
-    #[serde(default)]
     pub deliver: Option<String>,
     /// Tiling of the areas.
     #[serde(default)]
@@ -139,7 +138,6 @@ pub struct PresetEntry {
     pub name: String,
     /// `preview`, `fast`, `balanced`, `accurate`, `best`, or `sweep` for surface models without training; absent:
     /// `name`.
-    #[serde(default)]
     pub preset: Option<String>,
     /// Seed of the random numbers.
     #[serde(default = "first_seed")]
@@ -180,10 +178,8 @@ impl PresetEntry {
 
     /// Overrides as pairs of key and value, as for `--set`.
     pub fn changes(&self) -> Vec<(String, String)> {
-        self.set
-            .iter()
-            .map(|(key, value)| (key.clone(), value.to_string()))
-            .collect()
+        let pairs = self.set.iter();
+        pairs.map(|(key, value)| (key.clone(), value.to_string())).collect()
     }
 
     /// Complete configuration, with overrides and seed.
@@ -222,10 +218,8 @@ impl TileOptions {
             ("residual_px", self.residual_px, least),
             ("gsd_m", gsd_m, least),
         ];
-        if let Some((key, value, _)) = limits
-            .iter()
-            .find(|(_, value, least)| !(*least..=f64::MAX).contains(value))
-        {
+        let is_wrong = |(_, value, least): &&(&str, f64, f64)| !(*least..=f64::MAX).contains(value);
+        if let Some((key, value, _)) = limits.iter().find(is_wrong) {
             return Err(format!("tiles.{key} is {value}, expected a finite number above zero"));
         }
         if let Some(side_m) = self.side_m.filter(|side_m| !(LEAST_SIDE_M..=1e6).contains(side_m)) {
@@ -244,9 +238,8 @@ impl ProductOptions {
         if let Some([azimuth, elevation]) = self.sun
             && (SunPosition::stated(azimuth, elevation).is_err() || elevation < LOWEST_SUN_DEG)
         {
-            return Err(format!(
-                "products.sun is [{azimuth}, {elevation}], expected azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon"
-            ));
+            let expected = format!("azimuth and elevation in degrees, {LOWEST_SUN_DEG} or more above the horizon");
+            return Err(format!("products.sun is [{azimuth}, {elevation}], expected {expected}"));
         }
         if let Some(days) = &self.sun_hours {
             (days.parse::<Period>()).map_err(|reason| format!("products.sun_hours: {reason}"))?;
@@ -288,7 +281,7 @@ impl Manifest {
     ///
     /// # Errors
     /// When it cannot be read, or is invalid.
-    pub fn read(path: &Path) -> Result<Self, BatchError> {
+    pub fn read(path: &Path) -> Result<Self> {
         let fault = |reason: String| BatchError::Refused(format!("{}: {reason}", path.display()));
         let text = read_text(path).map_err(|error| fault(error.to_string()))?;
         let mut manifest = Self::parse(&text).map_err(fault)?;
@@ -327,9 +320,8 @@ impl Manifest {
         for preset in &self.presets {
             let name = &preset.name;
             if preset.parsed().is_err() {
-                return Err(format!(
-                    "preset {name}: say preset = \"sweep\", \"preview\", \"fast\", \"balanced\", \"accurate\" or \"best\""
-                ));
+                let all = "\"sweep\", \"preview\", \"fast\", \"balanced\", \"accurate\" or \"best\"";
+                return Err(format!("preset {name}: say preset = {all}"));
             }
             preset.config().map_err(|error| format!("preset {name}: {error}"))?;
         }

@@ -1,6 +1,6 @@
 //! Surface model of an area or of a block of it, merged from the surface models of its tiles.
 
-use super::BatchError;
+use super::Result;
 use super::blocks::overlap;
 use super::plan::{MosaicTile, MosaicWork};
 use super::stamp::Done;
@@ -27,8 +27,8 @@ pub struct Mosaic {
 impl Mosaic {
     /// Altitudes above the ellipsoid, metres, for any vertical datum of the surface model.
     pub fn above_ellipsoid(&self) -> Raster {
-        self.around
-            .inner(&self.around.altitude, (self.grid.width, self.grid.height))
+        let size = (self.grid.width, self.grid.height);
+        self.around.inner(&self.around.altitude, size)
     }
 }
 
@@ -57,7 +57,7 @@ pub(super) fn grid_of([west, south, east, north]: [f64; 4], gsd_m: f64, crs: &st
 ///
 /// # Errors
 /// When a tile cannot be read or the coordinate reference system is unknown.
-pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
+pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic> {
     let grid = grid_of(work.bounds, work.gsd_m, &work.crs)?;
     let whole = grid_of(work.around, work.gsd_m, &work.crs)?;
     let places = Places::of(work.around, work.gsd_m);
@@ -81,7 +81,7 @@ pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic, BatchError> {
 }
 
 /// Parts of the tiles within bounds (west, south, east, north), and their blended surface model.
-fn blended(out: &Path, work: &MosaicWork, bounds: [f64; 4]) -> Result<(Parts, Raster), BatchError> {
+fn blended(out: &Path, work: &MosaicWork, bounds: [f64; 4]) -> Result<(Parts, Raster)> {
     let places = Places::of(bounds, work.gsd_m);
     let span = places.span(bounds);
     let mut parts = Parts::default();
@@ -158,18 +158,11 @@ impl Parts {
     ///
     /// # Errors
     /// When a file cannot be read or is not on the grid of the tile's surface model.
-    pub(super) fn read(
-        &mut self,
-        out: &Path,
-        tile: &MosaicTile,
-        places: &Places,
-        span: Span,
-    ) -> Result<(), BatchError> {
+    pub(super) fn read(&mut self, out: &Path, tile: &MosaicTile, places: &Places, span: Span) -> Result<()> {
         let path = out.join(&tile.unit).join("dsm.tif");
         let file = RasterFile::open(&path)?;
-        let placed = file
-            .geo_transform()
-            .ok_or_else(|| RasterError::NotGeoreferenced(path.clone()))?;
+        let placed = file.geo_transform();
+        let placed = placed.ok_or_else(|| RasterError::NotGeoreferenced(path.clone()))?;
         let [west, _, _, north, ..] = placed.to_gdal();
         let Some((window, at)) = window(places.cells([west, north]), file.size(), span) else {
             return Ok(());
@@ -197,11 +190,7 @@ impl Parts {
     ///
     /// # Errors
     /// When a file is damaged or not on the grid of its tile's surface model.
-    pub(super) fn rasters(
-        &self,
-        out: &Path,
-        name: impl Fn(usize) -> Option<String>,
-    ) -> Result<Vec<Option<Raster>>, BatchError> {
+    pub(super) fn rasters(&self, out: &Path, name: impl Fn(usize) -> Option<String>) -> Result<Vec<Option<Raster>>> {
         let pieces = self.pieces.iter().zip(&self.windows).enumerate();
         let read = pieces.map(|(place, (piece, &(window, size)))| {
             let path = name(place).map(|name| out.join(&piece.unit).join(name));
@@ -216,10 +205,8 @@ impl Parts {
 fn read_window(path: &Path, window: Window, size: (usize, usize)) -> Result<Raster, RasterError> {
     let file = RasterFile::open(path)?;
     if file.size() != size {
-        return Err(RasterError::Damaged(
-            path.to_owned(),
-            "it is not on the grid of its surface model".into(),
-        ));
+        let reason = "it is not on the grid of its surface model";
+        return Err(RasterError::Damaged(path.to_owned(), reason.into()));
     }
     let bands: Vec<usize> = (0..file.bands.len()).collect();
     file.read(window, &bands)
@@ -234,12 +221,7 @@ fn window(begin: [isize; 2], size: (usize, usize), span: Span) -> Option<(Window
         (from < to).then(|| (from, (from - begin[axis]) as usize, (to - from) as usize))
     };
     let ((col, col0, width), (row, row0, height)) = (along(0, size.0)?, along(1, size.1)?);
-    let window = Window {
-        col0,
-        row0,
-        width,
-        height,
-    };
+    let window = Window::new((col0, row0), (width, height));
     Some((window, [col, row]))
 }
 

@@ -3,9 +3,9 @@
 mod cameras;
 mod joint;
 
-use super::BatchError;
 use super::manifest::{AreaEntry, ImagesEntry, Manifest, PresetEntry, ProductOptions, TileOptions};
 use super::tiles::{self, Tiling};
+use super::{BatchError, Result};
 use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, executable, identity_of_program, recall_build};
 use heliosplat_raster::Geoid;
@@ -230,7 +230,7 @@ impl<'a> Units<'a> {
     ///
     /// # Errors
     /// When the manifest cannot be read or is invalid.
-    pub fn open(manifest: &'a Path, out: &'a Path) -> Result<Self, BatchError> {
+    pub fn open(manifest: &'a Path, out: &'a Path) -> Result<Self> {
         let text = format!("{:?}", Manifest::read(manifest)?);
         let made = Made::kept(out, &text).map(|made| made.digest());
         Ok(Self { manifest, out, made })
@@ -240,7 +240,7 @@ impl<'a> Units<'a> {
     ///
     /// # Errors
     /// When the plan has no such unit.
-    pub fn unit(&self, id: &str) -> Result<Unit, BatchError> {
+    pub fn unit(&self, id: &str) -> Result<Unit> {
         let plain = !Path::new(id).is_absolute() && !id.contains("..");
         let kept = self.made.as_ref().filter(|_| plain);
         if let Some(unit) = kept.and_then(|made| read_part(&part_of(self.out, id), made)) {
@@ -285,7 +285,7 @@ impl Plan {
     ///
     /// # Errors
     /// When the manifest cannot be read or is invalid.
-    pub fn of(manifest_path: &Path, out: &Path, retry: bool) -> Result<Self, BatchError> {
+    pub fn of(manifest_path: &Path, out: &Path, retry: bool) -> Result<Self> {
         let manifest = Manifest::read(manifest_path)?;
         let text = format!("{manifest:?}");
         let kept = Made::kept(out, &text).and_then(|made| read_part::<Self>(&out.join(FILE), &made.digest()));
@@ -387,7 +387,7 @@ fn units_of(
     area: &AreaEntry,
     images: &ImagesEntry,
     hashes: &mut Hashes,
-) -> Result<(Vec<Unit>, Vec<PathBuf>), BatchError> {
+) -> Result<(Vec<Unit>, Vec<PathBuf>)> {
     let options = IngestOptions {
         altitude_range_m: area.altitude_m.map(|[low, high]| (low, high)),
         rpc: images.rpc,

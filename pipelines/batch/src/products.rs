@@ -1,12 +1,12 @@
 //! GIS products of units: from the model of a tile, and of a mosaic, merged from its tiles.
 
-use super::BatchError;
 use super::blocks::common;
 use super::colours::{self, Colours};
 use super::layers::{ALBEDO, Layer, Merge};
 use super::mosaic::{Mosaic, grid_of};
 use super::plan::{self, MosaicWork, RUN, Unit};
 use super::summary::COLLECTION;
+use super::{BatchError, Result};
 use heliosplat::Raster;
 use heliosplat_pages::view;
 use heliosplat_products::blend::Piece;
@@ -66,7 +66,7 @@ pub fn of_tile(
     folder: &Path,
     (gsd_m, crs): (f64, &str),
     sun: Option<[f64; 2]>,
-) -> Result<Vec<String>, BatchError> {
+) -> Result<Vec<String>> {
     let request = Request {
         gsd_m: Some(gsd_m),
         crs: Some(crs.to_owned()),
@@ -85,7 +85,7 @@ struct Models {
 }
 
 impl Models {
-    fn read(out: &Path, tiles: &[plan::MosaicTile]) -> Result<Self, BatchError> {
+    fn read(out: &Path, tiles: &[plan::MosaicTile]) -> Result<Self> {
         let runs: Vec<PathBuf> = tiles.iter().map(|tile| out.join(&tile.unit).join(RUN)).collect();
         let files = runs.iter().map(|run| model::load_file(run)).collect::<Result<_, _>>()?;
         Ok(Self { files, runs })
@@ -94,9 +94,8 @@ impl Models {
     /// Days of the changed segments, counted from 1970.
     fn days_of_change(&self) -> Vec<i32> {
         let changes = self.files.iter().filter_map(|file| file.changes.as_ref());
-        changes
-            .flat_map(|changes| changes.segments.iter().map(|segment| segment.day))
-            .collect()
+        let segments = changes.flat_map(|changes| &changes.segments);
+        segments.map(|segment| segment.day).collect()
     }
 
     /// Images of all tiles, each once, in the order of their names.
@@ -139,7 +138,7 @@ pub fn of_mosaic(
     mosaic: &Mosaic,
     unit: &Unit,
     folder: &Path,
-) -> Result<(Vec<String>, Value), BatchError> {
+) -> Result<(Vec<String>, Value)> {
     let models = Models::read(out, &mosaic.parts.tiles)?;
     let images = models.images();
     let bands = models.files.first().map_or(&[][..], |file| &file.bands);
@@ -187,12 +186,8 @@ pub fn of_mosaic(
         writer.shadows(date, &shadows, sun)?;
         look.write(&format!("shadow_{date}"), Some(&shadows))?;
     }
-    let parts: Vec<points::Part> = mosaic
-        .parts
-        .tiles
-        .iter()
-        .map(|tile| (out.join(&tile.unit).join(POINTS), common(tile.core, work.bounds)))
-        .collect();
+    let part = |tile: &plan::MosaicTile| (out.join(&tile.unit).join(POINTS), common(tile.core, work.bounds));
+    let parts: Vec<points::Part> = mosaic.parts.tiles.iter().map(part).collect();
     let count = points::merge(&folder.join(POINTS), &parts, grid, work.products.geoid)?;
     writer.points(POINTS, count);
     let mut globe_files = Vec::new();
@@ -223,16 +218,13 @@ pub fn of_mosaic(
     let names: Vec<&str> = dates.iter().map(|(date, _)| date.as_str()).collect();
     let said = json!({"points": count, "dates": names, "albedo_gains": gains});
     let mut outputs = set.names;
-    for name in globe_files {
-        if !outputs.contains(&name) {
-            outputs.push(name);
-        }
-    }
+    globe_files.retain(|name| !outputs.contains(name));
+    outputs.append(&mut globe_files);
     Ok((outputs, said))
 }
 
 /// Writes the hours of sun of a mosaic over a period, with the shadows of the ground around it.
-fn hours_of_sun(days: &str, work: &MosaicWork, mosaic: &Mosaic, writer: &mut Writer) -> Result<(), BatchError> {
+fn hours_of_sun(days: &str, work: &MosaicWork, mosaic: &Mosaic, writer: &mut Writer) -> Result<()> {
     let period = days.parse().map_err(BatchError::Refused)?;
     let altitude = &mosaic.around.altitude;
     let around = grid_of(work.around, work.gsd_m, &work.crs)?;
@@ -251,7 +243,7 @@ pub(super) fn reference(
     tiles: &[plan::MosaicTile],
     colours: &Colours,
     sun: Option<[f64; 2]>,
-) -> Result<Option<Reference>, BatchError> {
+) -> Result<Option<Reference>> {
     let units = tiles.iter().map(|tile| tile.unit.as_str());
     let units: Vec<&str> = units.filter(|unit| out.join(unit).join(ALBEDO).is_file()).collect();
     let step = units.len().div_ceil(REFERENCES_MOST).max(1);
@@ -292,7 +284,7 @@ fn globe(
     (runs, gains): (&[PathBuf], &[Vec<f64>]),
     (reference, sun): (Option<Reference>, Option<SunPosition>),
     folder: &Path,
-) -> Result<Vec<String>, BatchError> {
+) -> Result<Vec<String>> {
     let tile = |((piece, run), gains): ((&Piece, &PathBuf), &Vec<f64>)| MosaicTile {
         run: run.clone(),
         // A block shows the splats on its own ground.
@@ -320,9 +312,8 @@ fn globe(
     }
     let mut names = Vec::new();
     for name in [SPLATS, SURFACE] {
-        for entry in std::fs::read_dir(folder.join(name)).into_iter().flatten().flatten() {
-            names.push(format!("{name}/{}", entry.file_name().to_string_lossy()));
-        }
+        let entries = std::fs::read_dir(folder.join(name)).into_iter().flatten().flatten();
+        names.extend(entries.map(|entry| format!("{name}/{}", entry.file_name().to_string_lossy())));
     }
     names.sort_unstable();
     Ok(names)
@@ -338,15 +329,12 @@ struct OrthoPreview {
 impl OrthoPreview {
     fn new(image: &Raster, folder: &Path) -> Self {
         let step = image.width.max(image.height).div_ceil(PICTURE_PX).max(1);
-        Self {
-            image: every(image, step),
-            step,
-            folder: folder.join(PICTURES),
-        }
+        let (image, folder) = (every(image, step), folder.join(PICTURES));
+        Self { image, step, folder }
     }
 
     /// Writes it as `NAME.png`, with shadows over it if there are any.
-    fn write(&self, name: &str, shadows: Option<&Raster>) -> Result<(), BatchError> {
+    fn write(&self, name: &str, shadows: Option<&Raster>) -> Result<()> {
         let mut picture = preview::stretched(&self.image);
         if let Some(shadows) = shadows {
             preview::overlay(&mut picture, &every(shadows, self.step), SHADOW);

@@ -62,11 +62,8 @@ impl Output {
         let file = folder.join(path);
         let sha256 = run_folder::hash(&file)?;
         let bytes = std::fs::metadata(&file).map_or(0, |data| data.len());
-        Ok(Self {
-            path: path.into(),
-            bytes,
-            sha256,
-        })
+        let path = path.into();
+        Ok(Self { path, bytes, sha256 })
     }
 }
 
@@ -103,8 +100,8 @@ pub(super) fn remove_outputs(folder: &Path) -> Result<(), RasterError> {
 pub fn finished(out: &Path, unit: &Unit) -> Option<Stamp> {
     let folder = out.join(&unit.id);
     let stamp = read(&folder)?;
-    let there =
-        |output: &Output| std::fs::metadata(folder.join(&output.path)).is_ok_and(|data| data.len() == output.bytes);
+    let bytes = |output: &Output| std::fs::metadata(folder.join(&output.path)).map(|data| data.len());
+    let there = |output: &Output| bytes(output).is_ok_and(|bytes| bytes == output.bytes);
     (is_of(&stamp, unit) && stamp.outputs.iter().all(there)).then_some(stamp)
 }
 

@@ -1,9 +1,9 @@
 //! Finished units on an object store: each machine takes the units that it waits for from there, so that machines need
 //! no common disk.
 
-use super::BatchError;
 use super::plan::Unit;
 use super::stamp::{Output, STAMP, Stamp, finished, is_of};
+use super::{BatchError, Result};
 use heliosplat_raster::RasterError;
 use heliosplat_raster::bounded::TEXT_MAX;
 use heliosplat_raster::virtual_files::{deliver, fetch, read_virtual};
@@ -34,7 +34,7 @@ pub(super) fn keep(unit: &Unit, folder: &Path, stamp: &Stamp, file: &Path) -> Re
 ///
 /// # Errors
 /// When a product cannot be copied or is not that of the stamp.
-pub(super) fn taken(out: &Path, unit: &Unit) -> Result<Option<Stamp>, BatchError> {
+pub(super) fn taken(out: &Path, unit: &Unit) -> Result<Option<Stamp>> {
     if let Some(stamp) = finished(out, unit) {
         return Ok(Some(stamp));
     }
@@ -48,10 +48,12 @@ pub(super) fn taken(out: &Path, unit: &Unit) -> Result<Option<Stamp>, BatchError
     for output in &stamp.outputs {
         take(&output.path)?;
         if Output::of(&folder, &output.path)? != *output {
-            return Err(BatchError::Failed(format!(
-                "{}/{}: it is not the file of its stamp; remove {STAMP} beside it and run the unit again",
+            let (to, path) = (
                 unit.deliver.as_deref().unwrap_or_default(),
-                Path::new(&unit.id).join(&output.path).display()
+                format!("{}/{}", unit.id, output.path),
+            );
+            return Err(BatchError::Failed(format!(
+                "{to}/{path}: it is not the file of its stamp; remove {STAMP} beside it and run the unit again"
             )));
         }
     }

@@ -3,8 +3,8 @@
 //! Cores are disjoint blocks of cells of the mosaic's grid; a tile is its core with a margin that overlaps its
 //! neighbours. The overlap holds objects that cast shadows into the core, and lets the mosaic blend neighbours.
 
-use super::BatchError;
 use super::manifest::{LEAST_SIDE_M, TileOptions};
+use super::{BatchError, Result};
 use heliosplat_raster::{Crs, GridSpec};
 use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, Extent, PROGRAM_BYTES, estimate_of, sweep_estimate};
@@ -80,12 +80,11 @@ pub struct Request<'a> {
 ///
 /// # Errors
 /// When no tile is shown by two training images, or tiles of the least size exceed a limit.
-pub fn cut(request: &Request) -> Result<Tiling, BatchError> {
+pub fn cut(request: &Request) -> Result<Tiling> {
     let Request { survey, options, .. } = request;
     let crs = Crs::utm(survey.frame().origin)?;
-    let gsd_m = options
-        .gsd_m
-        .unwrap_or_else(|| ((survey.gsd_m * 100.0).round() / 100.0).max(0.01));
+    let rounded_m = ((survey.gsd_m * 100.0).round() / 100.0).max(0.01);
+    let gsd_m = options.gsd_m.unwrap_or(rounded_m);
     let area = survey.area();
     let rectangle = [area.west_m, area.south_m, area.east_m, area.north_m];
     let grid = GridSpec::covering(survey.frame(), rectangle, &crs, gsd_m)?;
@@ -104,11 +103,9 @@ pub fn cut(request: &Request) -> Result<Tiling, BatchError> {
             Err(TooMuch { what, remedy }) => {
                 let smallest = high_m.max(wide_m) / 1.2 < LEAST_SIDE_M;
                 if smallest || rows * cols >= MOST_TILES {
-                    return Err(BatchError::Refused(format!(
-                        "{}: tiles of {:.0} m would still take {what}; {remedy}",
-                        request.name,
-                        high_m.max(wide_m)
-                    )));
+                    let (name, side_m) = (request.name, high_m.max(wide_m));
+                    let reason = format!("{name}: tiles of {side_m:.0} m would still take {what}; {remedy}");
+                    return Err(BatchError::Refused(reason));
                 }
             }
         }
@@ -145,33 +142,22 @@ fn try_cut(
     grid: &GridSpec,
     gsd_m: f64,
     (rows, cols): (usize, usize),
-) -> Result<Result<Tiling, TooMuch>, BatchError> {
+) -> Result<Result<Tiling, TooMuch>> {
     let [west, north] = corner(grid);
     let (cell, overlap) = (grid.transform.pixel_size().0, request.options.overlap_m / gsd_m);
     let overlap = overlap.round() * grid.transform.pixel_size().0;
-    let bounds = [
-        west,
-        north - cell * grid.height as f64,
-        west + cell * grid.width as f64,
-        north,
-    ];
-    let edge = |cells: usize, parts: usize, index: usize| cell * (cells * index / parts) as f64;
+    let (south, east) = (north - cell * grid.height as f64, west + cell * grid.width as f64);
+    let bounds = [west, south, east, north];
+    let line = |col: usize| west + cell * (grid.width * col / cols) as f64;
+    let level = |row: usize| north - cell * (grid.height * row / rows) as f64;
     let mut tiles = Vec::new();
     for row in 0..rows {
         for col in 0..cols {
-            let core = [
-                west + edge(grid.width, cols, col),
-                north - edge(grid.height, rows, row + 1),
-                west + edge(grid.width, cols, col + 1),
-                north - edge(grid.height, rows, row),
-            ];
+            let core = [line(col), level(row + 1), line(col + 1), level(row)];
+            let low = [0, 1].map(|side| (core[side] - overlap).max(bounds[side]));
+            let high = [2, 3].map(|side| (core[side] + overlap).min(bounds[side]));
             let area = AreaRequest {
-                bounds: [
-                    (core[0] - overlap).max(bounds[0]),
-                    (core[1] - overlap).max(bounds[1]),
-                    (core[2] + overlap).min(bounds[2]),
-                    (core[3] + overlap).min(bounds[3]),
-                ],
+                bounds: [low[0], low[1], high[0], high[1]],
                 crs: Some(grid.crs.definition().to_owned()),
             };
             let Some(survey) = request.survey.tile(&area)? else {
@@ -206,17 +192,15 @@ fn try_cut(
 /// Excessive residual of the pinhole cameras against the rational ones, pixels, if any, measured in the tiles in the
 /// middle, at the corners and at the edges of the area. All tiles have one size, and the distortion of a rational
 /// camera is similar from one tile to the next; a finished tile states its own residual.
-fn too_far(request: &Request, tiles: &[Tile], (rows, cols): (usize, usize)) -> Result<Option<TooMuch>, BatchError> {
+fn too_far(request: &Request, tiles: &[Tile], (rows, cols): (usize, usize)) -> Result<Option<TooMuch>> {
     let along = |count: usize| [count / 2, 0, count - 1];
-    let places = along(rows)
-        .into_iter()
-        .flat_map(|row| along(cols).map(|col| (row, col)));
-    let places: BTreeSet<usize> = places
-        .filter_map(|(row, col)| {
-            let apart = |place: &usize| tiles[*place].row.abs_diff(row) + tiles[*place].col.abs_diff(col);
-            (0..tiles.len()).min_by_key(apart)
-        })
-        .collect();
+    let levels = along(rows).into_iter();
+    let places = levels.flat_map(|row| along(cols).map(|col| (row, col)));
+    let nearest = |(row, col)| {
+        let apart = |place: &usize| tiles[*place].row.abs_diff(row) + tiles[*place].col.abs_diff(col);
+        (0..tiles.len()).min_by_key(apart)
+    };
+    let places: BTreeSet<usize> = places.filter_map(nearest).collect();
     for tile in places.into_iter().filter_map(|place| tiles.get(place)) {
         let residual_px = request.survey.residual_px(&tile.area)?;
         if residual_px > request.options.residual_px {
@@ -243,8 +227,8 @@ pub(super) fn patches(tiling: &Tiling, gsd_m: f64) -> Vec<AreaRequest> {
         bounds: [x, y, x + wide, y + high],
         crs: Some(tiling.crs.clone()),
     };
-    rows.flat_map(|y| along(west, east, wide).map(move |x| patch(x, y)))
-        .collect()
+    let corners = rows.flat_map(|y| along(west, east, wide).map(move |x| (x, y)));
+    corners.map(|(x, y)| patch(x, y)).collect()
 }
 
 /// Outer north-western corner of a grid, map coordinates.

@@ -1,6 +1,5 @@
 //! One unit of a batch: adjustment, training or mosaic, with products, page and stamp.
 
-use super::BatchError;
 use super::colours::{self, Colours};
 use super::joined;
 use super::mosaic::{mosaic, nothing};
@@ -8,6 +7,7 @@ use super::plan::{AdjustWork, ColoursWork, MosaicWork, RUN, TiesWork, TileWork, 
 use super::products::{self, sun_of};
 use super::stamp::{self, Done, Output, STAMP, Stamp, claim};
 use super::store;
+use super::{BatchError, Result};
 use heliosplat_evaluate::{EvaluateError, Protocol, error_map, evaluate_dsm, evaluate_raster};
 use heliosplat_fitting::checkpoint;
 use heliosplat_fitting::program::build;
@@ -65,7 +65,7 @@ pub fn do_unit(
     out: &Path,
     checkpoint_every: Duration,
     session: &Session,
-) -> Result<(Stamp, bool), BatchError> {
+) -> Result<(Stamp, bool)> {
     for after in &unit.after {
         if store::taken(out, &units.unit(after)?)?.is_none() {
             return Err(BatchError::Refused(format!(
@@ -117,7 +117,7 @@ pub fn do_unit(
 }
 
 /// Removes the stamp of earlier work in the folder, and its checkpoint if its key differs.
-fn begin(folder: &Path, unit: &Unit) -> Result<(), BatchError> {
+fn begin(folder: &Path, unit: &Unit) -> Result<()> {
     let path = folder.join(BEGUN);
     let same = read_text(&path).is_ok_and(|before| before.trim() == unit.key);
     if unit.is_joint() {
@@ -138,7 +138,7 @@ fn tile(
     (out, folder): (&Path, &Path),
     checkpoint_every: Duration,
     session: &Session,
-) -> Result<Done, BatchError> {
+) -> Result<Done> {
     let run = folder.join(RUN);
     let begun = Instant::now();
     let scene = match scene_of(work) {
@@ -199,7 +199,7 @@ fn tile(
 
 /// Sets the corrections of the cameras that all tiles share, read from `path`: those in the middle of the windows of a
 /// tile's `scene`.
-fn share_cameras(config: &mut SatelliteConfig, scene: &Scene, path: &Path) -> Result<(), BatchError> {
+fn share_cameras(config: &mut SatelliteConfig, scene: &Scene, path: &Path) -> Result<()> {
     let failed = |reason: &dyn std::fmt::Display| BatchError::Failed(format!("{}: {reason}", path.display()));
     let text = read_text(path).map_err(|error| failed(&error))?;
     let cameras: SharedCameras = serde_json::from_str(&text).map_err(|error| failed(&error))?;
@@ -214,7 +214,7 @@ fn share_cameras(config: &mut SatelliteConfig, scene: &Scene, path: &Path) -> Re
 }
 
 /// Searches the ties of some patches of an area.
-fn ties(work: &TiesWork, folder: &Path, session: &Session) -> Result<Done, BatchError> {
+fn ties(work: &TiesWork, folder: &Path, session: &Session) -> Result<Done> {
     let index = Index::open(&work.scene, work.ingest.rpc)?;
     let config = work.preset.config()?;
     let ties = PatchTies::find(&index, &work.ingest, &work.patches, &config, session)?;
@@ -224,7 +224,7 @@ fn ties(work: &TiesWork, folder: &Path, session: &Session) -> Result<Done, Batch
 }
 
 /// Corrects the pointing of each image, once for all tiles.
-fn adjust(work: &AdjustWork, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+fn adjust(work: &AdjustWork, out: &Path, folder: &Path) -> Result<Done> {
     let index = Index::open(&work.scene, work.rpc)?;
     let of_unit = |unit: &String| PatchTies::read(&out.join(unit).join(TIES));
     let ties = work.ties.iter().map(of_unit).collect::<Result<Vec<_>, _>>()?;
@@ -235,7 +235,7 @@ fn adjust(work: &AdjustWork, out: &Path, folder: &Path) -> Result<Done, BatchErr
 }
 
 /// Finds the gains of the colours of all tiles of an area, and the look of its 3D Tiles.
-fn colours(work: &ColoursWork, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+fn colours(work: &ColoursWork, out: &Path, folder: &Path) -> Result<Done> {
     let sun = work.products.sun;
     let mut found = Colours::find(out, &work.tiles, work.gsd_m, sun.map(sun_of).as_ref())?;
     if work.products.globe {
@@ -255,13 +255,7 @@ fn scene_of(work: &TileWork) -> Result<Scene, SceneError> {
 }
 
 /// Surface model of a tile from a plane sweep, without training.
-fn swept(
-    scene: &Scene,
-    work: &TileWork,
-    config: &SatelliteConfig,
-    folder: &Path,
-    session: &Session,
-) -> Result<Done, BatchError> {
+fn swept(scene: &Scene, work: &TileWork, config: &SatelliteConfig, folder: &Path, session: &Session) -> Result<Done> {
     let surface = preprocess::sweep_only(scene, config, session)?;
     let dsm = dsm::of_surface(&scene.into(), &surface, work.gsd_m, Some(&work.crs))?;
     let path = folder.join("dsm.tif");
@@ -284,7 +278,7 @@ fn residual_px(scene: &Scene) -> f64 {
     residuals.fold(0.0, f64::max)
 }
 
-fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Result<Done, BatchError> {
+fn mosaic_unit(work: &MosaicWork, unit: &Unit, out: &Path, folder: &Path) -> Result<Done> {
     let mut work = work.clone();
     work.tiles.retain(|tile| out.join(&tile.unit).join("dsm.tif").is_file());
     let work = &work;

@@ -63,11 +63,8 @@ pub fn number(value: Option<f64>, digits: usize) -> String {
 /// Quotes a text as a cell of CSV. Spreadsheets evaluate a cell that begins with `=`, `+`, `-`, `@` or a tab as a
 /// formula; such a text gets a leading apostrophe.
 pub fn csv_text(text: &str) -> String {
-    let mark = if text.starts_with(['=', '+', '-', '@', '\t']) {
-        "'"
-    } else {
-        ""
-    };
+    let is_formula = text.starts_with(['=', '+', '-', '@', '\t']);
+    let mark = if is_formula { "'" } else { "" };
     format!("\"{mark}{}\"", text.replace('"', "\"\""))
 }
 
@@ -93,16 +90,13 @@ pub fn picture_of(path: &Path) -> Option<RgbImage> {
 /// Encodes a picture as a JPEG of at most `width` pixels width in a `data:` address; `None` if encoding fails.
 pub fn inline_picture(picture: RgbImage, width: u32) -> Option<String> {
     const QUALITY: u8 = 82;
-    let picture = DynamicImage::ImageRgb8(picture);
-    let small = if picture.width() > width {
-        picture.resize(width, u32::MAX, FilterType::Triangle)
-    } else {
-        picture
-    };
+    let mut picture = DynamicImage::ImageRgb8(picture);
+    if picture.width() > width {
+        picture = picture.resize(width, u32::MAX, FilterType::Triangle);
+    }
     let mut bytes = Vec::new();
-    small
-        .write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, QUALITY))
-        .ok()?;
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
+    picture.write_with_encoder(encoder).ok()?;
     Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }
 
@@ -113,10 +107,9 @@ pub fn plain(value: f64) -> String {
     }
     let digits = (2.0 - value.abs().log10().floor()).clamp(0.0, 6.0) as usize;
     let text = format!("{value:.digits$}");
-    if text.contains('.') {
-        text.trim_end_matches('0').trim_end_matches('.').to_owned()
-    } else {
-        text
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
     }
 }
 

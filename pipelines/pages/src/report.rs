@@ -48,10 +48,8 @@ impl Folder {
             Ok(text) => serde_json::from_str(&text).map_err(|error| RunError::Damaged(file, error.to_string()))?,
             Err(_) => Value::Null,
         };
-        Ok(Self {
-            path: path.to_owned(),
-            metrics,
-        })
+        let path = path.to_owned();
+        Ok(Self { path, metrics })
     }
 
     /// Reads a picture; `None` if it is absent, damaged or too large.
@@ -117,14 +115,16 @@ pub fn write(folder: &Path) -> Result<PathBuf, ViewError> {
 pub fn write_of_file(dsm: &Path) -> Result<PathBuf, ViewError> {
     let mut exhibit = view::of_files(dsm, None)?;
     exhibit.layers = view::companions(dsm, &exhibit)?;
+    let path = dsm.parent().unwrap_or(Path::new("")).to_owned();
     let folder = Folder {
-        path: dsm.parent().unwrap_or(Path::new("")).to_owned(),
+        path,
         metrics: Value::Null,
     };
-    let body = [
+    let (head, maps) = (
         surface::head(&folder, &exhibit, &[]),
         surface::maps(&exhibit, &html! {}),
-    ];
+    );
+    let body = [head, maps];
     Ok(save(&dsm.with_extension("html"), &page_of(&exhibit.title, &body))?)
 }
 
@@ -145,10 +145,9 @@ pub fn add_report<T, E: From<RunError>>(
     metrics: &mut Value,
     write: impl FnOnce() -> Result<T, E>,
 ) -> Result<(), E> {
-    {
-        let _part = stage(PAGES);
-        write()?;
-    }
+    let part = stage(PAGES);
+    write()?;
+    drop(part);
     let pages = serde_json::to_value(timeline::take()).unwrap_or_default();
     if let (Value::Array(stages), Value::Array(pages)) = (&mut metrics["timeline"], pages) {
         stages.extend(pages);
@@ -168,10 +167,9 @@ pub fn complete(folder: &Path) -> Result<(), ViewError> {
         return Ok(());
     }
     match is_object_run(folder) {
-        true => object::write(folder).map(|_| ())?,
-        false => write(folder).map(|_| ())?,
+        true => Ok(object::write(folder).map(drop)?),
+        false => write(folder).map(drop),
     }
-    Ok(())
 }
 
 fn save(path: &Path, page: &str) -> Result<PathBuf, RunError> {

@@ -4,7 +4,6 @@ use crate::page::{self, MIB, document};
 use crate::report::FILE as REPORT;
 use maud::{Markup, html};
 use serde_json::{Value, json};
-use std::fmt::Write;
 
 /// Status of a unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
@@ -108,16 +107,12 @@ pub fn csv(rows: &[Row]) -> String {
     for row in rows {
         let [seconds, peak, mae, known] = numbers(row);
         // Writing to a String cannot fail.
-        let _ = writeln!(
-            text,
-            "{},{},{},{seconds},{peak},{},{mae},{known},{},{}",
-            row.unit,
-            row.kind,
-            row.state.name(),
-            row.mem_mb,
+        let (unit, kind, state, planned) = (&row.unit, row.kind, row.state.name(), row.mem_mb);
+        let (log, error) = (
             page::csv_text(&row.log),
-            page::csv_text(row.error.as_deref().unwrap_or(""))
+            page::csv_text(row.error.as_deref().unwrap_or("")),
         );
+        text += &format!("{unit},{kind},{state},{seconds},{peak},{planned},{mae},{known},{log},{error}\n");
     }
     text
 }
@@ -135,20 +130,15 @@ fn numbers(row: &Row) -> [String; 4] {
 /// Rows as a table of aligned text for a terminal.
 pub fn table(rows: &[Row]) -> String {
     let width = rows.iter().map(|row| row.unit.len()).max().unwrap_or(4);
-    let mut text = format!(
-        "{:<width$}  {:<15} {:>9} {:>7} {:>8}\n",
-        "unit", "state", "seconds", "MiB", "MAE m"
-    );
+    let line = |unit: &str, state: &str, [seconds, peak, mae]: [&str; 3]| {
+        format!("{unit:<width$}  {state:<15} {seconds:>9} {peak:>7} {mae:>8}\n")
+    };
+    let mut text = line("unit", "state", ["seconds", "MiB", "MAE m"]);
     for row in rows {
         let [seconds, peak, mae, _] = numbers(row);
-        let _ = writeln!(
-            text,
-            "{:<width$}  {:<15} {seconds:>9} {peak:>7} {mae:>8}",
-            row.unit,
-            row.state.name()
-        );
+        text += &line(&row.unit, row.state.name(), [&seconds, &peak, &mae]);
         if let Some(error) = &row.error {
-            let _ = writeln!(text, "{:<width$}  {error} ({})", "", row.log);
+            text += &format!("{:<width$}  {error} ({})\n", "", row.log);
         }
     }
     text
@@ -158,34 +148,39 @@ pub fn table(rows: &[Row]) -> String {
 pub fn page(rows: &[Row]) -> String {
     let count = |pick: &dyn Fn(State) -> bool| rows.iter().filter(|row| pick(row.state)).count();
     let body = html! {
-        p {
-            (rows.len()) " units: " (count(&State::is_done)) " finished, " (count(&State::is_lost)) " failed, "
-            (count(&|state| !state.is_final())) " not done."
-        }
-        (tile_maps(rows))
-        (pictures(rows))
-        div.wide { table {
-            tr {
-                th { "unit" } th.words { "kind" } th.words { "state" } th { "time, s" } th { "peak memory, MiB" } th { "estimated, MiB" }
-                th { "DSM MAE, m" } th { "completeness" }
+            p {
+                (rows.len()) " units: " (count(&State::is_done)) " finished, " (count(&State::is_lost)) " failed, "
+                (count(&|state| !state.is_final())) " not done."
             }
-            @for row in rows {
-                @let [seconds, peak, mae, completeness] = numbers(row);
-                tr.failed[row.state == State::Failed].blocked[row.state == State::Blocked] {
-                    td { (linked(row)) }
-                    td.words { (row.kind) }
-                    td.words { (row.state.name()) @if let Some(error) = &row.error { ": " (error) } }
-                    td { (seconds) }
-                    td { (peak) }
-                    td { (row.mem_mb) }
-                    td { (mae) }
-                    td { (completeness) }
+            (tile_maps(rows))
+            (pictures(rows))
+            div.wide { table {
+                tr {
+                    th { "unit" } th.words { "kind" } th.words { "state" } th { "time, s" } th { "peak memory, MiB" } th { "estimated, MiB" }
+                    th { "DSM MAE, m" } th { "completeness" }
                 }
-            }
-        } }
-        (borders(rows))
-        p.faint { "heliosplat " (env!("CARGO_PKG_VERSION")) ". MAE: mean absolute error against truth, protocol raw." }
-    };
+                @for row in rows {
+                    @let [seconds, peak, mae, completeness] = numbers(row);
+                    tr.failed[row.state == State::Failed].blocked[row.state == State::Blocked] {
+    td {
+    @match address(row) {
+    Some(address) => a href=(address) { (row.unit) },
+    None => (row.unit),
+    }
+    }
+                        td.words { (row.kind) }
+                        td.words { (row.state.name()) @if let Some(error) = &row.error { ": " (error) } }
+                        td { (seconds) }
+                        td { (peak) }
+                        td { (row.mem_mb) }
+                        td { (mae) }
+                        td { (completeness) }
+                    }
+                }
+            } }
+            (borders(rows))
+            p.faint { "heliosplat " (env!("CARGO_PKG_VERSION")) ". MAE: mean absolute error against truth, protocol raw." }
+        };
     document("Batch", &body)
 }
 
@@ -197,15 +192,6 @@ fn address(row: &Row) -> Option<String> {
         _ => return None,
     };
     row.state.is_done().then(|| format!("./{}/{within}{REPORT}", row.unit))
-}
-
-fn linked(row: &Row) -> Markup {
-    html! {
-        @match address(row) {
-            Some(address) => a href=(address) { (row.unit) },
-            None => (row.unit),
-        }
-    }
 }
 
 /// Path before the tile's name, row and column of a tile, from `.../tile-r3c0`.
@@ -269,10 +255,7 @@ fn class(state: State) -> &'static str {
 
 /// Height steps at the tile boundaries of the mosaics.
 fn borders(rows: &[Row]) -> Markup {
-    let metric = |row: &Row, key: &str| {
-        let value = row.metrics.pointer(&format!("/seams/{key}/mean_m"));
-        value.and_then(Value::as_f64)
-    };
+    let metric = |row: &Row, key: &str| row.metrics["seams"][key]["mean_m"].as_f64();
     let is_measured = |row: &&Row| row.kind == "mosaic" && metric(row, "border").is_some();
     let mosaics: Vec<&Row> = rows.iter().filter(is_measured).collect();
     html! {

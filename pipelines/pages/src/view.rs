@@ -44,12 +44,9 @@ pub enum ViewError {
     /// Run on an object, which has no ground and no sun.
     #[error("{}: a run on an object has no ground and no sun; `heliosplat export` and `relight` show it", .0.display())]
     Object(PathBuf),
-    /// Surface without a known height.
-    #[error("{what}: no height of the surface is known, so there is nothing to show")]
-    Nothing {
-        /// Path or title of the surface.
-        what: String,
-    },
+    /// Surface without a known height: its path or title.
+    #[error("{0}: no height of the surface is known, so there is nothing to show")]
+    Nothing(String),
     /// Raster without a coordinate reference system.
     #[error("{}: says no coordinate system; the page needs one to place the sun", .0.display())]
     NoCrs(PathBuf),
@@ -71,7 +68,7 @@ impl ViewError {
     /// True if the input of the user is the cause, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
         match self {
-            Self::Object(_) | Self::Nothing { .. } | Self::NoCrs(_) => true,
+            Self::Object(_) | Self::Nothing(_) | Self::NoCrs(_) => true,
             Self::Run(error) => error.is_input_fault(),
             Self::Relight(error) => error.is_input_fault(),
             Self::Raster(error) => error.is_input_fault(),
@@ -114,11 +111,8 @@ pub fn write(exhibit: &Exhibit, path: &Path) -> Result<Written, ViewError> {
     let size = (exhibit.altitude.width, exhibit.altitude.height);
     let page = document::page(&exhibit)?;
     write_atomically(path, page.as_bytes())?;
-    Ok(Written {
-        path: path.to_owned(),
-        bytes: page.len(),
-        size,
-    })
+    let (path, bytes) = (path.to_owned(), page.len());
+    Ok(Written { path, bytes, size })
 }
 
 /// Writes the page of an exhibit into the folder of its run or mosaic, and returns the exhibit. A surface without known
@@ -127,17 +121,13 @@ pub fn write(exhibit: &Exhibit, path: &Path) -> Result<Written, ViewError> {
 /// # Errors
 /// The error of `exhibit`, and an error if the page cannot be written.
 pub fn into_folder(folder: &Path, exhibit: Result<Exhibit, ViewError>) -> Result<Option<Exhibit>, ViewError> {
-    match exhibit {
-        Err(error @ ViewError::Nothing { .. }) => {
-            tracing::warn!("no {FILE}: {error}");
-            Ok(None)
-        }
-        other => {
-            let exhibit = other?;
-            write(&exhibit, &folder.join(FILE))?;
-            Ok(Some(exhibit))
-        }
+    if let Err(error @ ViewError::Nothing(_)) = &exhibit {
+        tracing::warn!("no {FILE}: {error}");
+        return Ok(None);
     }
+    let exhibit = exhibit?;
+    write(&exhibit, &folder.join(FILE))?;
+    Ok(Some(exhibit))
 }
 
 #[cfg(test)]

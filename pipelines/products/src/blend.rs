@@ -100,11 +100,8 @@ pub struct CellValue {
 fn cell_value(index: usize, piece: &Piece, col: isize, row: isize, gsd_m: f32) -> Option<CellValue> {
     let [altitude, sigma, coverage, views] = [0, 1, 2, 3].map(|band| piece.value(band, col, row));
     // Within this distance altitudes count as one surface: the deviation of a cell without one.
-    let taken = if sigma.is_finite() {
-        sigma
-    } else {
-        ONE_SURFACE_CELLS * gsd_m
-    };
+    let taken = Some(sigma).filter(|sigma| sigma.is_finite());
+    let taken = taken.unwrap_or(ONE_SURFACE_CELLS * gsd_m);
     let least = LEAST_SIGMA_CELLS * gsd_m;
     let weight = piece.taper(col, row) / (taken * taken + least * least);
     let known = altitude.is_finite() && weight > 0.0;

@@ -104,10 +104,8 @@ impl ChangeMap {
     /// YYYYMMDD; each becomes the nearest of `days` (days since 1970) on which something changed. `None` unless each
     /// raster has one band.
     pub fn read(difference: Raster, [mut dates, confidence]: [Raster; 2], days: &[i32]) -> Option<Self> {
-        if [&difference, &dates, &confidence]
-            .iter()
-            .any(|raster| raster.bands != 1)
-        {
+        let rasters = [&difference, &dates, &confidence];
+        if rasters.iter().any(|raster| raster.bands != 1) {
             return None;
         }
         for (value, difference) in dates.values.iter_mut().zip(&difference.values) {
@@ -140,10 +138,8 @@ impl ChangeMap {
                 Style::Differences(known.fold(1.0, |most, v| v.abs().max(most)))
             }
             1 => {
-                let days = values
-                    .iter()
-                    .filter(|day| **day > 0.0)
-                    .map(|day| as_date(*day as i32) as f32);
+                let days = values.iter();
+                let days = days.filter(|day| **day > 0.0).map(|day| as_date(*day as i32) as f32);
                 let [first, last] = days.fold([f32::MAX, 0.0], |[low, high], date| [date.min(low), date.max(high)]);
                 Style::Amounts([first.min(last), last.max(1.0)])
             }
@@ -199,11 +195,8 @@ fn confidence(segments: &[&Segment], day: i32, [east, north, _]: &[f64; 3]) -> O
         let [west_m, south_m, east_m, north_m] = grown(segment);
         segment.day == day && (west_m..east_m).contains(east) && (south_m..north_m).contains(north)
     };
-    segments
-        .iter()
-        .filter(holds)
-        .map(|segment| segment.confidence)
-        .reduce(f32::max)
+    let there = segments.iter().filter(holds);
+    there.map(|segment| segment.confidence).reduce(f32::max)
 }
 
 /// Bounds of a segment with the margin around it: west, south, east, north, metres.

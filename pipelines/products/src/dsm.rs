@@ -14,7 +14,7 @@ use heliosplat_grid::{around, in_parallel};
 use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::grid::GridSpec;
 use heliosplat_raster::write::{ImageSpec, write_cog};
-use heliosplat_raster::{GeoRaster, Geoid, RasterError, StreamedCog, dsm_bands};
+use heliosplat_raster::{GeoRaster, Geoid, Result, StreamedCog, dsm_bands};
 use heliosplat_rpc::parallax::{LEAST_BASE_TO_HEIGHT, MATCHING_PX};
 use heliosplat_stereo::{FEWEST_VIEWS, Surface, Witnesses};
 use rayon::prelude::*;
@@ -81,9 +81,8 @@ impl SurfaceFacts {
     /// Report of three lines on the surface model in `file`.
     pub fn in_words(&self, file: &Path) -> String {
         let [low, high] = self.heights_m;
-        let deviation = self
-            .deviation_m
-            .map(|metres| format!(", median standard deviation {metres:.2} m"));
+        let deviation = self.deviation_m;
+        let deviation = deviation.map(|metres| format!(", median standard deviation {metres:.2} m"));
         let deviation = deviation.unwrap_or_default();
         format!(
             "surface model  {}\n               {}, cells of {} m, {:.1} % of the ground known\n               heights {low:.0} to {high:.0} m above the {}{deviation}",
@@ -100,7 +99,7 @@ impl SurfaceFacts {
 ///
 /// # Errors
 /// When the coordinate system does not cover the place, or the run's `start.tif` is damaged.
-pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
+pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm> {
     let nadir = NadirGrid::new(&model.into(), gsd_m, crs)?;
     of_model(&nadir, model)
 }
@@ -110,7 +109,7 @@ pub fn dsm(model: &LoadedModel, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, Ra
 ///
 /// # Errors
 /// When that file is damaged.
-pub fn of_model(nadir: &NadirGrid, model: &LoadedModel) -> Result<Dsm, RasterError> {
+pub fn of_model(nadir: &NadirGrid, model: &LoadedModel) -> Result<Dsm> {
     let mut dsm = seen_of(nadir, model);
     if let Some(start) = StartProbability::of_run(&model.folder, &model.into())? {
         let altitude = dsm.raster.plane(ALTITUDE).to_vec();
@@ -139,11 +138,8 @@ pub fn of_gaussians(nadir: &NadirGrid, surface: &SurfaceGaussians) -> Dsm {
     let (width, height) = (nadir.grid.width, nadir.grid.height);
     let mut raster = Raster::filled(width, height, BANDS.len(), f32::NAN);
     let cells = surface::cells(surface, &nadir.camera, nadir.cell_m());
-    let altitudes = raster
-        .plane_mut(ALTITUDE)
-        .par_iter_mut()
-        .with_min_len(CHUNK)
-        .enumerate();
+    let altitudes = raster.plane_mut(ALTITUDE).par_iter_mut();
+    let altitudes = altitudes.with_min_len(CHUNK).enumerate();
     altitudes.for_each(|(i, altitude)| {
         if cells[i].coverage >= ALPHA_KNOWN {
             *altitude = nadir.height(i % width, i / width, cells[i].up_m) as f32;
@@ -230,7 +226,7 @@ fn variance_around(raster: &Raster, cell: usize) -> f32 {
 ///
 /// # Errors
 /// When the coordinate system does not cover the place.
-pub fn of_surface(place: &GroundExtent, surface: &Surface, gsd_m: f64, crs: Option<&str>) -> Result<Dsm, RasterError> {
+pub fn of_surface(place: &GroundExtent, surface: &Surface, gsd_m: f64, crs: Option<&str>) -> Result<Dsm> {
     Ok(of_surface_on(NadirGrid::new(place, gsd_m, crs)?, place, surface))
 }
 
@@ -283,7 +279,7 @@ impl Dsm {
     ///
     /// # Errors
     /// When the geoid's grid is missing, or the coordinate system takes no heights.
-    pub fn above(mut self, geoid: Geoid) -> Result<Self, RasterError> {
+    pub fn above(mut self, geoid: Geoid) -> Result<Self> {
         let table = GeoidGrid::new(geoid, &self.grid)?;
         let width = self.raster.width;
         table.subtract(0, width, self.raster.plane_mut(ALTITUDE));
@@ -371,16 +367,15 @@ impl Dsm {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn write(&self, path: &Path) -> Result<(), RasterError> {
+    pub fn write(&self, path: &Path) -> Result<()> {
         let metadata = metadata(self.vertical_datum());
         // The altitude comes last: its file marks a complete surface model.
-        (1..BANDS.len())
-            .into_par_iter()
-            .try_for_each(|band| self.write_band(path, band, &metadata))?;
+        let bands = (1..BANDS.len()).into_par_iter();
+        bands.try_for_each(|band| self.write_band(path, band, &metadata))?;
         self.write_band(path, ALTITUDE, &metadata)
     }
 
-    fn write_band(&self, path: &Path, band: usize, metadata: &[(String, String)]) -> Result<(), RasterError> {
+    fn write_band(&self, path: &Path, band: usize, metadata: &[(String, String)]) -> Result<()> {
         let raster = self.raster.band(band);
         let path = file_of(path, band);
         let spec = ImageSpec {
@@ -413,11 +408,8 @@ impl Dsm {
 /// Makes the bands of a raster unknown where `known` is not a number.
 pub(crate) fn blank_unknown(raster: &mut Raster, known: &[f32]) {
     for band in 0..raster.bands {
-        let unknown = raster
-            .plane_mut(band)
-            .iter_mut()
-            .zip(known)
-            .filter(|(_, known)| known.is_nan());
+        let values = raster.plane_mut(band).iter_mut();
+        let unknown = values.zip(known).filter(|(_, known)| known.is_nan());
         unknown.for_each(|(value, _)| *value = f32::NAN);
     }
 }
@@ -472,7 +464,7 @@ impl StreamedDsm {
     ///
     /// # Errors
     /// When the coordinate system takes no heights, or a file cannot be written.
-    pub fn create(path: &Path, grid: &GridSpec, geoid: Option<Geoid>) -> Result<Self, RasterError> {
+    pub fn create(path: &Path, grid: &GridSpec, geoid: Option<Geoid>) -> Result<Self> {
         let crs = match geoid {
             Some(geoid) => &geoid.compound(&grid.crs)?,
             None => &grid.crs,
@@ -505,7 +497,7 @@ impl StreamedDsm {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn write_rows(&mut self, row0: usize, rows: &Raster) -> Result<(), RasterError> {
+    pub fn write_rows(&mut self, row0: usize, rows: &Raster) -> Result<()> {
         let step = self.rows.div_ceil(SAMPLED_ROWS).max(1);
         for (band, (file, sampled)) in self.files.iter_mut().zip(&mut self.sampled).enumerate() {
             file.write_rows(row0, &rows.band(band))?;
@@ -520,7 +512,7 @@ impl StreamedDsm {
     ///
     /// # Errors
     /// When a file cannot be written, which is then absent.
-    pub fn finish(self) -> Result<(), RasterError> {
+    pub fn finish(self) -> Result<()> {
         for (band, file) in self.files.into_iter().enumerate().rev() {
             style(band, &self.sampled[band]).write(&file_of(&self.path, band))?;
             file.finish()?;

@@ -12,7 +12,7 @@ mod textured;
 mod tile;
 
 pub use joined::join_tilesets;
-pub use lit::{Display, Lit, Look};
+pub use lit::{Display, Lit, Look, shown};
 pub use mosaic::{Mosaic, Reference};
 pub use textured::white_of;
 pub use tile::MosaicTile;
@@ -124,12 +124,10 @@ impl ExportError {
 /// column.
 pub fn ecef_from_enu(frame: &LocalFrame) -> [f64; 16] {
     let mut matrix = Matrix4::identity();
-    matrix
-        .fixed_view_mut::<3, 3>(0, 0)
-        .copy_from(&frame.enu_from_ecef_rotation().transpose());
-    matrix
-        .fixed_view_mut::<3, 1>(0, 3)
-        .copy_from(&ecef_from_geo(frame.origin));
+    let rotation = frame.enu_from_ecef_rotation().transpose();
+    matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    let origin = ecef_from_geo(frame.origin);
+    matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&origin);
     columns(&matrix)
 }
 
@@ -157,9 +155,8 @@ fn placement(frame: &LocalFrame) -> Result<Placement, RasterError> {
         Ok::<_, RasterError>(Vector3::new(x, y, geo.height_m))
     };
     let mut projected = Matrix4::identity();
-    projected
-        .fixed_view_mut::<3, 1>(0, 3)
-        .copy_from(&mapped(Vector3::zeros())?);
+    let origin = mapped(Vector3::zeros())?;
+    projected.fixed_view_mut::<3, 1>(0, 3).copy_from(&origin);
     for axis in 0..3 {
         let step = STEP_M * Vector3::ith(axis, 1.0);
         let slope = (mapped(step)? - mapped(-step)?) / (2.0 * STEP_M);
@@ -256,9 +253,9 @@ pub fn write(subject: &Subject, request: &Request) -> Result<Export, ExportError
         let ground = subject.ground()?;
         let of_mesh = with(&said, &ground.metadata());
         if let Some(path) = &request.mesh {
-            let Dressed { glb, triangles, .. } = ground
-                .whole(of_mesh.clone())?
-                .ok_or_else(|| ExportError::NoSurface(subject.folder().to_owned()))?;
+            let dressed = ground.whole(of_mesh.clone())?;
+            let Dressed { glb, triangles, .. } =
+                dressed.ok_or_else(|| ExportError::NoSurface(subject.folder().to_owned()))?;
             written.push(write_one(path, "mesh", &glb, None, Some(triangles))?);
         }
         if let Some(folder) = tiles_of_mesh {

@@ -29,7 +29,6 @@ pub struct ModelImage {
     /// Index of the image's own colours in the model; `None` where it was not trained on.
     pub appearance: Option<usize>,
     /// Index of the colours of a training image of the same day, for an image held out.
-    #[serde(default)]
     pub same_day: Option<usize>,
     /// Pinhole camera of the whole image.
     pub map: ProjectiveMap,
@@ -41,16 +40,13 @@ pub struct ModelImage {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub known: Option<KnownTiles>,
     /// Position of the sun; `None` where it is unknown.
-    #[serde(default)]
     pub sun: Option<SunPosition>,
     /// Standard deviation of the sun's direction, degrees; `None` where it is unknown.
-    #[serde(default)]
     pub sun_sigma_deg: Option<f64>,
     /// Source of the sun's position.
     #[serde(default)]
     pub sun_source: SunSource,
     /// Acquisition time; `None` where it is unknown.
-    #[serde(default)]
     pub time: Option<jiff::Timestamp>,
 }
 

@@ -29,10 +29,8 @@ impl ModelFile {
             return Err(format!("it names {} bands of {}", file.bands.len(), file.options.bands));
         }
         let gains = &file.values.reflectance;
-        let finite = gains
-            .iter()
-            .flatten()
-            .all(|line| line.scale.is_finite() && line.offset.is_finite());
+        let mut lines = gains.iter().flatten();
+        let finite = lines.all(|line| line.scale.is_finite() && line.offset.is_finite());
         if !finite || ![0, file.bands.len()].contains(&gains.len()) {
             return Err("its bands have no usable gains to reflectance".into());
         }
@@ -45,9 +43,8 @@ impl ModelFile {
         if ![0, file.options.images].contains(&days.len()) || !days.iter().all(|day| day.is_finite()) {
             return Err("its images have days that are none".into());
         }
-        file.images
-            .iter()
-            .try_for_each(|image| check_image(image, &file.options))?;
+        let mut images = file.images.iter();
+        images.try_for_each(|image| check_image(image, &file.options))?;
         Ok(file)
     }
 
@@ -125,13 +122,8 @@ fn check_image(image: &ModelImage, options: &ShadowGsOptions) -> Result<(), Stri
     }
     let map = &image.map;
     let angles = image.sun.iter().flat_map(|sun| [&sun.azimuth_rad, &sun.elevation_rad]);
-    let mut numbers = map
-        .u
-        .iter()
-        .chain(&map.v)
-        .chain(&map.w)
-        .chain(angles)
-        .chain(&image.sun_sigma_deg);
+    let of_map = map.u.iter().chain(&map.v).chain(&map.w);
+    let mut numbers = of_map.chain(angles).chain(&image.sun_sigma_deg);
     if !numbers.all(|number| number.is_finite()) || !image.shift_px.iter().all(|s| s.is_finite()) {
         return Err(format!("image {name} has numbers that are not finite"));
     }

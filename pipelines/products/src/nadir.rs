@@ -4,7 +4,7 @@ use crate::model::LoadedModel;
 use glam::DVec3;
 use heliosplat::ProjectiveCamera;
 use heliosplat_raster::grid::{EnuGrid, GridSpec};
-use heliosplat_raster::{Crs, CrsTransform, RasterError};
+use heliosplat_raster::{Crs, CrsTransform, Result};
 use heliosplat_rpc::{GeoPoint, LocalFrame};
 use heliosplat_scene::{Area, Scene};
 
@@ -54,7 +54,7 @@ impl NadirGrid {
     ///
     /// # Errors
     /// When the coordinate system does not cover the place.
-    pub fn new(place: &GroundExtent, gsd_m: f64, crs: Option<&str>) -> Result<Self, RasterError> {
+    pub fn new(place: &GroundExtent, gsd_m: f64, crs: Option<&str>) -> Result<Self> {
         let GroundExtent { frame, area, .. } = place;
         let crs = match crs {
             Some(definition) => Crs::horizontal(definition)?,
@@ -69,7 +69,7 @@ impl NadirGrid {
     ///
     /// # Errors
     /// When the grid lies outside its coordinate system.
-    pub fn on(place: &GroundExtent, grid: GridSpec) -> Result<Self, RasterError> {
+    pub fn on(place: &GroundExtent, grid: GridSpec) -> Result<Self> {
         let enu = EnuGrid::new(&place.frame, &grid, place.altitude_range_m)?;
         let camera = nadir_camera(&enu, &grid, place.frame.origin.height_m);
         Ok(Self { grid, camera, enu })
@@ -81,12 +81,10 @@ impl NadirGrid {
     ///
     /// # Errors
     /// When the grid lies outside its coordinate system.
-    pub fn of_surface(grid: GridSpec, altitude_m: &[f32]) -> Result<(Self, LocalFrame), RasterError> {
+    pub fn of_surface(grid: GridSpec, altitude_m: &[f32]) -> Result<(Self, LocalFrame)> {
         let known = || altitude_m.iter().copied().filter(|v| v.is_finite()).map(f64::from);
-        let (low, high) = known()
-            .reduce(f64::min)
-            .zip(known().reduce(f64::max))
-            .unwrap_or_default();
+        let ends = known().reduce(f64::min).zip(known().reduce(f64::max));
+        let (low, high) = ends.unwrap_or_default();
         let sides = [0.5 * grid.width as f64, 0.5 * grid.height as f64];
         let [x, y] = grid.transform.map_from_pixel(sides[0], sides[1]);
         let (lon_deg, lat_deg) = CrsTransform::to_lon_lat(&grid.crs)?.apply(x, y)?;

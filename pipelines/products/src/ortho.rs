@@ -12,11 +12,8 @@ pub fn albedo(model: &LoadedModel, maps: &Maps) -> Raster {
     let bands = model.file.bands.len();
     let mut out = Raster::filled(maps.width, maps.height, bands, f32::NAN);
     for band in 0..bands {
-        let cells = out
-            .plane_mut(band)
-            .iter_mut()
-            .zip(&maps.channels[band])
-            .zip(&maps.alpha);
+        let values = out.plane_mut(band).iter_mut();
+        let cells = values.zip(&maps.channels[band]).zip(&maps.alpha);
         let known = cells.filter(|(_, alpha)| **alpha >= ALPHA_KNOWN);
         known.for_each(|((value, channel), alpha)| *value = channel / alpha);
     }

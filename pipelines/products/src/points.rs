@@ -5,7 +5,7 @@ use crate::model::LoadedModel;
 use heliosplat::gaussians::POSITION;
 use heliosplat::model::shadow_gs::ALBEDO;
 use heliosplat_raster::geoid::{GeoidGrid, Undulation};
-use heliosplat_raster::{Crs, CrsTransform, Geoid, GridSpec, RasterError, preview, write_atomically};
+use heliosplat_raster::{Crs, CrsTransform, Geoid, GridSpec, RasterError, Result, preview, write_atomically};
 use heliosplat_scene::indices::VEGETATION_INDEX;
 use las::point::{Classification, Format};
 use las::{Builder, Color, Point, Reader, Transform, Vector, Writer};
@@ -29,7 +29,7 @@ const STEP_M: f64 = 0.001;
 ///
 /// # Errors
 /// When the coordinate system does not cover the place, a geoid's grid is missing, or the file cannot be written.
-pub fn write(path: &Path, model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<usize, RasterError> {
+pub fn write(path: &Path, model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<usize> {
     let failed = |error: las::Error| RasterError::Write(path.to_owned(), error.to_string());
     let points = points(model, crs, geoid)?;
     let bytes = encode(&points, &above(crs, geoid)?).map_err(failed)?;
@@ -38,7 +38,7 @@ pub fn write(path: &Path, model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) 
 }
 
 /// A coordinate system with its vertical part.
-fn above(crs: &Crs, geoid: Option<Geoid>) -> Result<Crs, RasterError> {
+fn above(crs: &Crs, geoid: Option<Geoid>) -> Result<Crs> {
     geoid.map_or_else(|| Ok(crs.clone()), |geoid| geoid.compound(crs))
 }
 
@@ -86,7 +86,7 @@ pub type Part = (PathBuf, [f64; 4]);
 ///
 /// # Errors
 /// When a cloud cannot be read, a geoid's grid is missing, or the file cannot be written.
-pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>) -> Result<usize, RasterError> {
+pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>) -> Result<usize> {
     let failed = |error: las::Error| RasterError::Write(path.to_owned(), error.to_string());
     let crs = above(&grid.crs, geoid)?;
     let table = geoid.map(|geoid| GeoidGrid::new(geoid, grid)).transpose()?;
@@ -118,7 +118,7 @@ pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>)
     Ok(count)
 }
 
-fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Point>, RasterError> {
+fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Point>> {
     let gaussians = &model.parameters.gaussians;
     let bands = model.file.bands.len();
     let albedo = gaussians.group(ALBEDO);
@@ -146,10 +146,9 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
         let green = index.is_some_and(|index| index.of(|band| colour[band]) > VEGETATION_INDEX);
         let count = |band: usize| (colour[band] / brightest).clamp(0.0, 1.0).powf(1.0 / 2.2) * f32::from(u16::MAX);
         let [red, g, blue] = shown.map(|band| count(band).round() as u16);
-        let class = if green {
-            Classification::HighVegetation
-        } else {
-            Classification::Unclassified
+        let class = match green {
+            true => Classification::HighVegetation,
+            false => Classification::Unclassified,
         };
         points.push(Point {
             x,

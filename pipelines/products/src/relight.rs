@@ -278,18 +278,15 @@ fn path_radiance(model: &LoadedModel) -> Vec<f32> {
 /// Exposure of relit counts, in words.
 fn exposure(model: &LoadedModel) -> String {
     let reference = model.file.options.reference;
-    let image = model
-        .file
-        .images
-        .iter()
-        .find(|image| image.appearance == Some(reference));
+    let mut images = model.file.images.iter();
+    let image = images.find(|image| image.appearance == Some(reference));
     let counts = |value: f32| format!("{:.0}", f64::from(value) * model.file.counts_per_unit);
     let kept: Vec<String> = path_radiance(model).into_iter().map(counts).collect();
-    format!(
-        "counts of {} under this sun, its path radiance of {} kept",
-        image.map_or("the reference image", |image| image.name.as_str()),
-        kept.join(", ")
-    )
+    let (image, kept) = (
+        image.map_or("the reference image", |image| &image.name),
+        kept.join(", "),
+    );
+    format!("counts of {image} under this sun, its path radiance of {kept} kept")
 }
 
 fn named_camera(model: &LoadedModel, view: &str) -> Result<ProjectiveCamera, RelightError> {

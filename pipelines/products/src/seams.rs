@@ -133,9 +133,8 @@ pub fn measure(altitude: &Raster, pieces: &[Piece]) -> Seams {
 
 fn steps_along(line: Line, length: isize, value: &impl Fn([isize; 2]) -> f32) -> impl Iterator<Item = f32> {
     let steps = (0..length).map(move |along| line.cells(along));
-    steps
-        .map(|[a, b]| (value(a) - value(b)).abs())
-        .filter(|step| step.is_finite())
+    let heights = steps.map(|[a, b]| (value(a) - value(b)).abs());
+    heights.filter(|step| step.is_finite())
 }
 
 /// Steps across a line in every tile that has values on both sides.
@@ -147,9 +146,8 @@ fn own_steps(line: Line, length: isize, pieces: &[Piece]) -> Vec<f32> {
 
 fn differences(pieces: &[Piece]) -> Vec<Difference> {
     let later = |(index, first)| {
-        pieces[index + 1..]
-            .iter()
-            .filter_map(move |second| difference(first, second))
+        let others = pieces[index + 1..].iter();
+        others.filter_map(move |second| difference(first, second))
     };
     pieces.iter().enumerate().flat_map(later).collect()
 }

@@ -14,11 +14,8 @@ pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Witnes
     let cell_m = nadir.grid.transform.pixel_size().0 * nadir.grid.crs.metres_per_unit();
     let enu = |cell: usize| {
         let height_m = f64::from(altitude_m[cell]);
-        let height_m = if height_m.is_finite() {
-            height_m
-        } else {
-            model.origin.height_m
-        };
+        let height_m = Some(height_m).filter(|height_m| height_m.is_finite());
+        let height_m = height_m.unwrap_or(model.origin.height_m);
         nadir.enu.enu((cell % width) as f64, (cell / width) as f64, height_m)
     };
     // Rays are walked over a grid of the local frame; the map grid is turned against it.

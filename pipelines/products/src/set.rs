@@ -76,9 +76,8 @@ pub fn own_name<'a>((date, sun): (&str, &SunPosition), own: &'a [(String, SunPos
     // A name begins with ten characters of the day, or of the sun where there is no day.
     let day = |name: &str| name.chars().take(10).collect::<String>();
     let mut alike = own.iter().filter(|(_, other)| is_one_light(other, sun));
-    alike
-        .find(|(name, _)| day(name) == day(date))
-        .map(|(name, _)| name.as_str())
+    let same = alike.find(|(name, _)| day(name) == day(date));
+    same.map(|(name, _)| name.as_str())
 }
 
 /// Sun of a run with a single date and a known sun for each image; otherwise `None`.

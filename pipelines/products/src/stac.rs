@@ -3,7 +3,7 @@
 
 use super::style::located;
 use heliosplat::Raster;
-use heliosplat_raster::{CrsTransform, GridSpec, RasterError};
+use heliosplat_raster::{CrsTransform, GridSpec, RasterError, Result};
 use heliosplat_rpc::sun::SunPosition;
 use jiff::Timestamp;
 use serde_json::{Map, Value, json};
@@ -138,9 +138,8 @@ fn describe(plane: &[f32], band: &Band, numbers: Numbers, gsd_m: f64) -> Value {
 
 /// Assets of an earlier item on the same grid whose files still exist and are not written anew.
 pub(crate) fn kept(earlier: &Value, item: &Value, folder: &Path) -> Map<String, Value> {
-    let same = ["proj:code", "proj:shape", "proj:transform", "heliosplat:vertical_datum"]
-        .iter()
-        .all(|key| earlier["properties"][*key] == item["properties"][*key]);
+    let mut keys = ["proj:code", "proj:shape", "proj:transform", "heliosplat:vertical_datum"].iter();
+    let same = keys.all(|key| earlier["properties"][*key] == item["properties"][*key]);
     let assets = earlier["assets"].as_object().filter(|_| same);
     let is_kept = |(key, asset): &(&String, &Value)| {
         let file = asset["href"].as_str().map(|href| folder.join(href));
@@ -170,7 +169,7 @@ type Place<'a> = (&'a GridSpec, f64, &'a str);
 ///
 /// # Errors
 /// When a corner of the grid lies outside of its coordinate system.
-pub fn item(about: &ItemMetadata, place: Place, assets: &[Asset]) -> Result<Value, RasterError> {
+pub fn item(about: &ItemMetadata, place: Place, assets: &[Asset]) -> Result<Value> {
     let corners = corners(place.0)?;
     let assets = assets.iter().map(|asset| (asset.key.clone(), asset.value.clone()));
     let assets: Map<String, Value> = assets.collect();
@@ -226,7 +225,7 @@ fn properties(about: &ItemMetadata, (grid, gsd_m, vertical_datum): Place) -> Val
 }
 
 /// Longitude and latitude of the grid's outer corners, counter-clockwise from the south-west.
-fn corners(grid: &GridSpec) -> Result<[[f64; 2]; 4], RasterError> {
+fn corners(grid: &GridSpec) -> Result<[[f64; 2]; 4]> {
     let to_lon_lat = CrsTransform::to_lon_lat(&grid.crs)?;
     let (right, bottom) = (grid.width as f64 - 0.5, grid.height as f64 - 0.5);
     let corner = |(col, row): (f64, f64)| {
@@ -296,11 +295,8 @@ fn bounds(boxes: &[[f64; 4]]) -> [f64; 4] {
     // A box that ends or begins on the antimeridian does so on its own side of it.
     let wrapped_west = wrapped(west);
     let east_of_west = around(east, wrapped_west + 180.0);
-    let east = if east_of_west > 180.0 {
-        east_of_west - 360.0
-    } else {
-        east_of_west
-    };
+    let turn = if east_of_west > 180.0 { 360.0 } else { 0.0 };
+    let east = east_of_west - turn;
     [wrapped_west, south, east, north]
 }
 
@@ -340,9 +336,8 @@ fn side(ring: &[[f64; 2]], sign: f64) -> Vec<[f64; 2]> {
 
 /// STAC Collection of some items, as JSON. Each item comes with its folder, relative to the collection.
 pub fn collection(id: &str, items: &[(String, Value)]) -> Value {
-    let boxes = items
-        .iter()
-        .filter_map(|(_, item)| serde_json::from_value::<[f64; 4]>(item["bbox"].clone()).ok());
+    let boxes = items.iter();
+    let boxes = boxes.filter_map(|(_, item)| serde_json::from_value::<[f64; 4]>(item["bbox"].clone()).ok());
     let unwrapped =
         |[west, south, east, north]: [f64; 4]| [west, south, if east < west { east + 360.0 } else { east }, north];
     let boxes: Vec<[f64; 4]> = boxes.map(unwrapped).collect();

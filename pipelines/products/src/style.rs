@@ -7,7 +7,7 @@
 use heliosplat::Raster;
 use heliosplat_grid::statistics::quantile;
 use heliosplat_raster::virtual_raster::escaped;
-use heliosplat_raster::{Crs, RasterError, write_atomically};
+use heliosplat_raster::{Crs, Result, write_atomically};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -33,11 +33,8 @@ pub fn colour(colours: &[&str], share: f32) -> [u8; 3] {
     let channel = |place: usize, channel: usize| {
         let text = colours.get(place.min(last));
         let digits = text.and_then(|text| text.get(2 * channel + 1..2 * channel + 3));
-        f32::from(
-            digits
-                .and_then(|digits| u8::from_str_radix(digits, 16).ok())
-                .unwrap_or(0),
-        )
+        let value = digits.and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        f32::from(value.unwrap_or(0))
     };
     let place = at as usize;
     [0, 1, 2].map(|c| (channel(place, c) + at.fract() * (channel(place + 1, c) - channel(place, c))).round() as u8)
@@ -76,7 +73,7 @@ impl Style {
     ///
     /// # Errors
     /// When the style file cannot be written.
-    pub fn write(&self, raster: &Path) -> Result<(), RasterError> {
+    pub fn write(&self, raster: &Path) -> Result<()> {
         write_atomically(&raster.with_extension("qml"), self.qml().as_bytes())
     }
 
@@ -112,9 +109,8 @@ impl Style {
             Self::Colours(_, range) => (include_str!("style/colours.xml"), *range),
             Self::Mask(..) => (include_str!("style/mask.xml"), [0.0, 1.0]),
         };
-        let mut text = template
-            .replace("{low}", &low.to_string())
-            .replace("{high}", &high.to_string());
+        let text = template.replace("{low}", &low.to_string());
+        let mut text = text.replace("{high}", &high.to_string());
         match self {
             Self::Heights(_) => text = text.replace("{items}", &items(&GROUND, [low, high])),
             Self::Amounts(_) => text = text.replace("{items}", &items(&SUN, [low, high])),
@@ -127,10 +123,9 @@ impl Style {
             Self::Mask(label, colour) => text = text.replace("{label}", label).replace("{colour}", colour),
             Self::Shades(_) => (),
         }
-        let gamma = if matches!(self, Self::Colours(..)) {
-            DISPLAY_GAMMA
-        } else {
-            1.0
+        let gamma = match self {
+            Self::Colours(..) => DISPLAY_GAMMA,
+            _ => 1.0,
         };
         format!(" <pipe>\n{text}  <brightnesscontrast brightness=\"0\" contrast=\"0\" gamma=\"{gamma}\"/>\n </pipe>\n")
     }
@@ -168,10 +163,9 @@ impl Layer {
         let srs = format!("<wkt>{wkt}</wkt><authid>{}</authid>", escaped(code.unwrap_or_default()));
         let (name, title) = (escaped(&located(file)), escaped(title));
         let id = format!("heliosplat_{}", file.replace(|c: char| !c.is_ascii_alphanumeric(), "_"));
-        let checked = if style.is_shown() {
-            "Qt::Checked"
-        } else {
-            "Qt::Unchecked"
+        let checked = match style.is_shown() {
+            true => "Qt::Checked",
+            false => "Qt::Unchecked",
         };
         Self {
             file: file.to_owned(),
@@ -247,9 +241,8 @@ fn range(plane: &[f32]) -> [f32; 2] {
 
 fn joined(ranges: [[f32; 2]; 3]) -> [f32; 2] {
     let start = [f32::INFINITY, f32::NEG_INFINITY];
-    ranges
-        .into_iter()
-        .fold(start, |[low, high], [a, b]| [low.min(a), high.max(b)])
+    let ranges = ranges.into_iter();
+    ranges.fold(start, |[low, high], [a, b]| [low.min(a), high.max(b)])
 }
 
 #[cfg(test)]

@@ -85,9 +85,8 @@ pub(super) struct Cell {
 
 /// Cells of a surface: the pixels, `cell_m` metres wide, of `nadir`, a camera that looks straight down.
 pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: f32) -> Vec<Cell> {
-    let index = input
-        .leaves
-        .map(|index| LeafIndex::new(index, input.gaussians, input.bands));
+    let leaves = input.leaves;
+    let index = leaves.map(|index| LeafIndex::new(index, input.gaussians, input.bands));
     let of_leaf = |g: usize| index.as_ref().map_or(0.0, |index| index.of(g));
     let all = depths_and(input.gaussians, nadir, &input.projection, of_leaf);
     let is_leaf = index.map(|index| {
@@ -123,9 +122,8 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
     let range: Vec<[f32; 3]> = in_parallel(count).map(depths).collect();
     let leaves = is_leaf.map_or(Vec::new(), |is_leaf| leaf_depths(input, &is_leaf, nadir));
     let known = |i: usize| all.alpha[i] >= ALPHA_KNOWN;
-    let mut up_m: Vec<f32> = (0..count)
-        .map(|i| if known(i) { -range[i][1] } else { f32::NAN })
-        .collect();
+    let up = |i: usize| if known(i) { -range[i][1] } else { f32::NAN };
+    let mut up_m: Vec<f32> = (0..count).map(up).collect();
     let doubt = |i: usize| {
         let doubt_m = 0.5 * (range[i][2] - range[i][0]);
         match leaves.get(i) {

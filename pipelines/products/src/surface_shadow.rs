@@ -111,10 +111,9 @@ impl SurfaceShadows {
         let by_row = rows.abs() >= cols.abs();
         let (along, aside) = if by_row { (rows, cols) } else { (cols, rows) };
         let height = self.up_m.len() / self.width;
-        let (lines, across) = if by_row {
-            (height, self.width)
-        } else {
-            (self.width, height)
+        let (lines, across) = match by_row {
+            true => (height, self.width),
+            false => (self.width, height),
         };
         let step_m = 1.0 / along.abs();
         Some(Sweep {
@@ -140,10 +139,9 @@ impl SurfaceShadows {
         };
         let mut rays = vec![nothing; sweep.across + moved.ceil() as usize + 3];
         for number in 0..sweep.lines {
-            let line = if sweep.from_last {
-                sweep.lines - 1 - number
-            } else {
-                number
+            let line = match sweep.from_last {
+                true => sweep.lines - 1 - number,
+                false => number,
             };
             let place = |k: usize| match sweep.by_row {
                 true => line * self.width + k,

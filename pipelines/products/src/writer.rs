@@ -10,7 +10,7 @@ use heliosplat::Raster;
 use heliosplat_grid::drape;
 use heliosplat_raster::preview::{stretched, write_png};
 use heliosplat_raster::write::{Bytes, ImageSpec, remove, write_byte_cog, write_cog};
-use heliosplat_raster::{GridSpec, RasterError, bounded, write_atomically};
+use heliosplat_raster::{GridSpec, Result, bounded, write_atomically};
 use heliosplat_rpc::sun::SunPosition;
 use heliosplat_scene::BandKind;
 use heliosplat_scene::indices::NormalisedDifference;
@@ -84,7 +84,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When the earlier item cannot be removed.
-    pub fn new(grid: &'a GridSpec, gsd_m: f64, out: &'a Path) -> Result<Self, RasterError> {
+    pub fn new(grid: &'a GridSpec, gsd_m: f64, out: &'a Path) -> Result<Self> {
         let [item, layers] = [ITEM, LAYERS].map(|name| bounded::read_text(&out.join(name)).unwrap_or_default());
         remove(&out.join(ITEM))?;
         Ok(Self {
@@ -108,15 +108,12 @@ impl<'a> Writer<'a> {
         (bytes, style): (Option<Bytes>, Style),
         items: &[(String, String)],
         sun: Option<&SunPosition>,
-    ) -> Result<(), RasterError> {
+    ) -> Result<()> {
         let file = format!("{key}.tif");
         let path = self.out.join(&file);
         let names: Vec<&str> = bands.iter().map(|band| band.name).collect();
-        let units: Vec<&str> = bands
-            .iter()
-            .map(|band| band.unit)
-            .filter(|unit| !unit.is_empty())
-            .collect();
+        let units = bands.iter().map(|band| band.unit);
+        let units: Vec<&str> = units.filter(|unit| !unit.is_empty()).collect();
         let metadata: Vec<_> = metadata(sun).into_iter().chain(items.iter().cloned()).collect();
         let spec = ImageSpec {
             band_descriptions: &names,
@@ -143,10 +140,8 @@ impl<'a> Writer<'a> {
         (numbers, style): (Numbers, &Style),
         sun: Option<&SunPosition>,
     ) {
-        let (key, name) = (
-            file.file_stem().unwrap_or_default().to_string_lossy(),
-            file.to_string_lossy(),
-        );
+        let (stem, name) = (file.file_stem().unwrap_or_default(), file.to_string_lossy());
+        let key = stem.to_string_lossy();
         let asset = Asset::raster((&key, &name, title), raster, bands, numbers, self.gsd_m, sun);
         self.assets.push(asset);
         self.layers.push(Layer::new(&name, title, style, &self.grid.crs));
@@ -158,22 +153,17 @@ impl<'a> Writer<'a> {
         raster: &Raster,
         name: &'static str,
         sun: Option<&SunPosition>,
-    ) -> Result<(), RasterError> {
+    ) -> Result<()> {
         let bands = [Band { name, unit: "" }];
-        self.raster(
-            names,
-            (raster, &bands),
-            (Some(Bytes::Mask), Style::mask(name)),
-            &[],
-            sun,
-        )
+        let stored = (Some(Bytes::Mask), Style::mask(name));
+        self.raster(names, (raster, &bands), stored, &[], sun)
     }
 
     /// Writes the map of changes between the images.
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn changes(&mut self, changes: &ChangeMap) -> Result<(), RasterError> {
+    pub fn changes(&mut self, changes: &ChangeMap) -> Result<()> {
         const TITLES: [&str; 3] = [
             "Change of heights between the first image and the last",
             "Date of change",
@@ -197,16 +187,11 @@ impl<'a> Writer<'a> {
         raster: &Raster,
         bands: &[BandKind],
         sun: Option<&SunPosition>,
-    ) -> Result<(), RasterError> {
+    ) -> Result<()> {
         let kinds: Vec<&str> = bands.iter().map(|band| band.name()).collect();
         let bands: Vec<Band> = kinds.iter().map(|name| Band { name, unit: "" }).collect();
-        self.raster(
-            names,
-            (raster, &bands),
-            (None, Style::colours(raster, &kinds)),
-            &[],
-            sun,
-        )
+        let stored = (None, Style::colours(raster, &kinds));
+        self.raster(names, (raster, &bands), stored, &[], sun)
     }
 
     /// Writes the surface model, the ground below it, the heights above the ground, and a hillshade. In the products
@@ -215,7 +200,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn surface(&mut self, dsm: &Dsm, around: &Surroundings) -> Result<(), RasterError> {
+    pub fn surface(&mut self, dsm: &Dsm, around: &Surroundings) -> Result<()> {
         self.vertical_datum = dsm.vertical_datum();
         // The parent's path is used, since the folder itself may not exist yet.
         let of_run = self.out.parent().map(|run| run.join("dsm.tif"));
@@ -251,7 +236,7 @@ impl<'a> Writer<'a> {
     }
 
     /// Writes the ground below the surface, and the heights above it.
-    fn ground(&mut self, dsm: &Dsm, around: &Surroundings, cell_m: f32) -> Result<(), RasterError> {
+    fn ground(&mut self, dsm: &Dsm, around: &Surroundings, cell_m: f32) -> Result<()> {
         let mut above = around.altitude.clone();
         let draped = drape::ground((above.width, above.height), cell_m, &above.values);
         for (height, ground) in above.values.iter_mut().zip(&draped) {
@@ -278,12 +263,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn colours(
-        &mut self,
-        albedo: &Raster,
-        bands: &[BandKind],
-        index: Option<NormalisedDifference>,
-    ) -> Result<(), RasterError> {
+    pub fn colours(&mut self, albedo: &Raster, bands: &[BandKind], index: Option<NormalisedDifference>) -> Result<()> {
         let title = "True-ortho albedo, relative to level ground in full sun";
         self.floats(("albedo", title), albedo, bands, None)?;
         let (width, height) = (self.grid.width, self.grid.height);
@@ -312,13 +292,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn relit(
-        &mut self,
-        image: &Raster,
-        shadows: &Raster,
-        bands: &[BandKind],
-        sun: &SunPosition,
-    ) -> Result<(), RasterError> {
+    pub fn relit(&mut self, image: &Raster, shadows: &Raster, bands: &[BandKind], sun: &SunPosition) -> Result<()> {
         let title = "Ortho image under the sun asked for, counts";
         self.floats(("relit", title), image, bands, Some(sun))?;
         let names = ("relit_shadow", "Shadows under the sun asked for");
@@ -329,7 +303,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn sunshine(&mut self, shone: &Sunshine, period: &Period) -> Result<(), RasterError> {
+    pub fn sunshine(&mut self, shone: &Sunshine, period: &Period) -> Result<()> {
         let (from, to) = period.ends();
         let when = format!("{from} to {to}");
         let about = |text: &str| vec![("DESCRIPTION".to_owned(), text.to_owned())];
@@ -370,7 +344,7 @@ impl<'a> Writer<'a> {
         (name, unit): (&str, &str),
         items: &[(String, String)],
         style: Style,
-    ) -> Result<(), RasterError> {
+    ) -> Result<()> {
         self.raster(names, (raster, &[Band { name, unit }]), (None, style), items, None)
     }
 
@@ -378,7 +352,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn shadows(&mut self, date: &str, shadows: &Raster, sun: &SunPosition) -> Result<(), RasterError> {
+    pub fn shadows(&mut self, date: &str, shadows: &Raster, sun: &SunPosition) -> Result<()> {
         let (key, title) = (format!("shadow_{date}"), format!("Shadows of {date}"));
         self.mask((&key, &title), shadows, "shadow", Some(sun))
     }
@@ -404,7 +378,7 @@ impl<'a> Writer<'a> {
     ///
     /// # Errors
     /// When the grid lies outside its coordinate system, or a file cannot be written.
-    pub fn finish(self, said: &ItemMetadata) -> Result<Set, RasterError> {
+    pub fn finish(self, said: &ItemMetadata) -> Result<Set> {
         let mut item = stac::item(said, (self.grid, self.gsd_m, self.vertical_datum), &self.assets)?;
         let kept = stac::kept(&self.earlier.0, &item, self.out);
         let files = kept.values().filter_map(|asset| asset["href"].as_str());

@@ -48,9 +48,8 @@ impl Combination<'_> {
         let costs: Vec<PatchCost> = patches.iter().map(cost).collect();
         let each = patches_of_unit(&costs);
         let groups = patches.chunks(each).zip(costs.chunks(each)).enumerate();
-        let ties: Vec<Unit> = groups
-            .map(|(number, (patches, costs))| self.ties(number, patches, costs))
-            .collect();
+        let ties = groups.map(|(number, (patches, costs))| self.ties(number, patches, costs));
+        let ties: Vec<Unit> = ties.collect();
         let sightings: f64 = costs.iter().map(|cost| (MOST_TIES * cost.images) as f64).sum();
         let adjust = self.adjust(&ties, sightings);
         (ties, adjust)

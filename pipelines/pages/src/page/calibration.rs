@@ -18,16 +18,10 @@ pub fn draw<T>(uncertainty: &Uncertainty, draw: impl Fn(&Chart) -> T) -> T {
         high,
         scale: Scale::Logarithmic,
     };
-    let line = |name: &str, error: fn(&Group) -> f64| Line {
-        name: name.into(),
-        points: groups.iter().map(|g| (g.expected_m, error(g))).collect(),
-    };
-    let note = format!(
-        "rank correlation {:.2}, within one deviation {:.0} %, within two {:.0} %",
-        uncertainty.spearman,
-        100.0 * uncertainty.within_one,
-        100.0 * uncertainty.within_two
-    );
+    let line = |name: &str, error: fn(&Group) -> f64| Line::new(name, groups.iter().map(|g| (g.expected_m, error(g))));
+    let [one, two] = [uncertainty.within_one, uncertainty.within_two].map(|share| 100.0 * share);
+    let rank = format!("rank correlation {:.2}", uncertainty.spearman);
+    let note = format!("{rank}, within one deviation {one:.0} %, within two {two:.0} %");
     draw(&Chart {
         size: (472.0, 486.0),
         title: "Height error of ten equal groups of cells, m",

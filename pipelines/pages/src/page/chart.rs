@@ -136,6 +136,14 @@ pub struct Line {
     pub points: Vec<(f64, f64)>,
 }
 
+impl Line {
+    /// A line through `points`.
+    pub fn new(name: &str, points: impl Iterator<Item = (f64, f64)>) -> Self {
+        let (name, points) = (name.into(), points.collect());
+        Self { name, points }
+    }
+}
+
 /// Chart with one pair of axes.
 #[derive(Debug)]
 pub struct Chart<'a> {

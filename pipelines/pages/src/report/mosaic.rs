@@ -42,25 +42,18 @@ pub fn write(folder: &Path) -> Result<PathBuf, ViewError> {
     let tiles = tiles(&mosaic)?;
     let whole = std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
     // Area, images, preset.
-    let mut title: Vec<String> = whole
-        .ancestors()
-        .skip(1)
-        .take(3)
-        .filter_map(|part| Some(part.file_name()?.to_string_lossy().into_owned()))
-        .collect();
+    let names = whole.ancestors().skip(1).take(3).filter_map(Path::file_name);
+    let mut title: Vec<_> = names.map(|name| name.to_string_lossy()).collect();
     title.reverse();
     let shown = match view::of_mosaic(folder, None) {
-        Err(ViewError::Nothing { .. }) => None,
+        Err(ViewError::Nothing(_)) => None,
         other => Some(other?),
     };
+    let relit = mosaic.picture("pictures/relit.png");
     let sections = [
         head(&mosaic, &tiles, shown.as_ref()),
         html! { @if let Some(shown) = &shown { (surface::maps(shown, &borders_of(&mosaic, &tiles))) } },
-        figure(
-            mosaic.picture("pictures/relit.png"),
-            SURFACE_PX,
-            "Relit with the requested sun",
-        ),
+        figure(relit, SURFACE_PX, "Relit with the requested sun"),
         surface::files(&mosaic),
         blocks(&mosaic),
         dates(&mosaic),
@@ -68,20 +61,16 @@ pub fn write(folder: &Path) -> Result<PathBuf, ViewError> {
         parts::accuracy(&mosaic, None),
         table(&tiles),
     ];
-    Ok(save(
-        &folder.join(super::FILE),
-        &page_of(&title.join(" / "), &sections),
-    )?)
+    let page = page_of(&title.join(" / "), &sections);
+    Ok(save(&folder.join(super::FILE), &page)?)
 }
 
 fn tiles(mosaic: &Folder) -> Result<Vec<Tile>, RunError> {
     let pieces = mosaic.list("/pieces");
     let mut tiles = Vec::with_capacity(pieces.len());
     for piece in pieces {
-        let name = piece["unit"]
-            .as_str()
-            .and_then(|unit| unit.rsplit('/').next())
-            .unwrap_or("");
+        let unit = piece["unit"].as_str().unwrap_or("");
+        let name = unit.rsplit('/').next().unwrap_or("");
         // The name becomes part of a path and of an address.
         if name.is_empty() || name.starts_with('.') || name.contains('\\') {
             continue;
@@ -99,16 +88,12 @@ fn tiles(mosaic: &Folder) -> Result<Vec<Tile>, RunError> {
 fn head(mosaic: &Folder, tiles: &[Tile], shown: Option<&Exhibit>) -> Markup {
     let number = |pointer: &str| mosaic.number(pointer);
     let all = |pointer: &'static str| tiles.iter().filter_map(move |tile| tile.stamp.number(pointer));
+    let at_borders = number("/seams/border/mean_m");
     let memory = all("/peak_rss_bytes").reduce(f64::max);
     let figures = [
         ("mean absolute height error, raw", number("/dsm/mae_m"), 3, "m"),
         ("median height error", number("/dsm/median_m"), 3, "m"),
-        (
-            "mean height step across tile boundaries",
-            number("/seams/border/mean_m"),
-            3,
-            "m",
-        ),
+        ("mean height step across tile boundaries", at_borders, 3, "m"),
         ("mean height step elsewhere", number("/seams/interior/mean_m"), 3, "m"),
         ("tiles", number("/tiles"), 0, ""),
         ("total time of tiles", Some(all("/seconds").sum()), 0, "s"),
@@ -235,7 +220,6 @@ fn table(tiles: &[Tile]) -> Markup {
 
 /// Picture of a tile's surface, trained or swept.
 fn picture(tile: &Tile) -> Option<RgbImage> {
-    tile.stamp
-        .picture("run/dsm.png")
-        .or_else(|| tile.stamp.picture("dsm.png"))
+    let of_run = tile.stamp.picture("run/dsm.png");
+    of_run.or_else(|| tile.stamp.picture("dsm.png"))
 }

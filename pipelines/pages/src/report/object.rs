@@ -1,6 +1,6 @@
 //! Page of a run on a capture of an object: held-out images, light components, training curves.
 
-use super::parts::{self, Cost, costs_of, figure, gallery, keys, origin};
+use super::parts::{self, Cost, costs_of, figure, gallery, keys, origin, panels};
 use super::{Folder, page_of, save};
 use crate::page::{MIB, number, section};
 use heliosplat_fitting::run_folder::RunError;
@@ -8,7 +8,6 @@ use heliosplat_objects::measure::{file_name, normal_picture, picture};
 use heliosplat_objects::model::{self, ObjectModel, components};
 use heliosplat_objects::run::{self, ObjectRun};
 use heliosplat_scene::Split;
-use image::imageops::crop_imm;
 use maud::{Markup, html};
 use std::path::{Path, PathBuf};
 
@@ -69,15 +68,15 @@ fn views(measured: &Folder, model: &ObjectModel) -> Markup {
     let held_out: Vec<_> = images.filter(|image| image.split == Split::Test).collect();
     let pairs = held_out.iter().step_by(held_out.len().div_ceil(VIEWS).max(1));
     let figures = html! {
-        @for image in pairs {
-            @if let Some(pair) = measured.picture(&format!("views/{}.png", file_name(&image.name))) {
-                @let half = pair.width() / 2;
-                @for (left, caption) in [(0, format!("{}: image", image.name)), (half, "rendering".to_owned())] {
-                    (figure(Some(crop_imm(&pair, left, 0, half, pair.height()).to_image()), VIEW_PX, &caption))
+            @for image in pairs {
+                @if let Some(pair) = measured.picture(&format!("views/{}.png", file_name(&image.name))) {
+    @let captions = [format!("{}: image", image.name), "rendering".to_owned()];
+    @for (half, caption) in panels(&pair, pair.width() / 2).into_iter().zip(captions) {
+    (figure(Some(half), VIEW_PX, &caption))
+    }
                 }
             }
-        }
-    };
+        };
     html! {
         (gallery("Held-out images", "four", &figures))
         @if !figures.0.is_empty() { p.faint { "All are in views/." } }

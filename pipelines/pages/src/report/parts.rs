@@ -122,7 +122,7 @@ pub(super) fn views(run: &Contents) -> Markup {
 }
 
 /// Panels of this width, pixels, that lie side by side in a picture.
-fn panels(picture: &RgbImage, width: u32) -> Vec<RgbImage> {
+pub(super) fn panels(picture: &RgbImage, width: u32) -> Vec<RgbImage> {
     let count = picture.width().checked_div(width).unwrap_or(0);
     let panel = |place| crop_imm(picture, place * width, 0, width, picture.height()).to_image();
     (0..count.min(PANELS.len() as u32)).map(panel).collect()
@@ -131,12 +131,10 @@ fn panels(picture: &RgbImage, width: u32) -> Vec<RgbImage> {
 /// Training curves: height error, PSNR, differences to the images and losses by step.
 pub(super) fn curves(run: &Folder) -> Markup {
     let curve = run.list("/curve");
-    let line = |name: &str, value: &dyn Fn(&Value) -> Option<f64>| Line {
-        name: name.to_owned(),
-        points: curve
-            .iter()
-            .filter_map(|point| Some((point["step"].as_f64()?, value(point)?)))
-            .collect(),
+    let line = |name: &str, value: &dyn Fn(&Value) -> Option<f64>| {
+        let points = curve.iter();
+        let points = points.filter_map(|point| Some((point["step"].as_f64()?, value(point)?)));
+        Line::new(name, points)
     };
     let chart = |title: &str, drawn: &[Line]| lines(title, "step", &several_points(drawn));
     let height = line("", &|point| point["accuracy"]["height_mae_m"].as_f64());
@@ -174,32 +172,22 @@ pub(super) fn accuracy(run: &Folder, uncertainty: Option<&Uncertainty>) -> Marku
     let line = |name: &str, pointer: &str| {
         let quantiles: Vec<f64> = run.list(pointer).iter().filter_map(Value::as_f64).collect();
         let last = quantiles.len().saturating_sub(1).max(1) as f64;
-        let shares = quantiles
-            .into_iter()
-            .enumerate()
-            .map(|(i, m)| (m, 100.0 * i as f64 / last));
-        Line {
-            name: name.into(),
-            points: shares.take_while(|(m, _)| *m <= WORST_M).collect(),
-        }
+        let numbered = quantiles.into_iter().enumerate();
+        let shares = numbered.map(|(i, m)| (m, 100.0 * i as f64 / last));
+        Line::new(name, shares.take_while(|(m, _)| *m <= WORST_M))
     };
     let distributions = [
         line("DSM", "/dsm/error_quantiles_m"),
         line("initial surface", "/start/error_quantiles_m"),
     ];
-    let chart = lines(
-        "Cells with a smaller height error, %",
-        "height error, m",
-        &several_points(&distributions),
-    );
+    let drawn = several_points(&distributions);
+    let chart = lines("Cells with a smaller height error, %", "height error, m", &drawn);
     let dsm = &run.metrics["dsm"];
     let static_classes = dsm.get("ground_and_buildings").filter(|errors| errors.is_object());
     let static_classes = static_classes.map(|errors| ("static classes (ground, road, building)", errors));
     let classes = dsm["by_class"].as_object().into_iter().flatten();
-    let classes: Vec<_> = static_classes
-        .into_iter()
-        .chain(classes.map(|(name, errors)| (name.as_str(), errors)))
-        .collect();
+    let classes = classes.map(|(name, errors)| (name.as_str(), errors));
+    let classes: Vec<_> = static_classes.into_iter().chain(classes).collect();
     let body = html! {
         @if chart.is_some() || uncertainty.is_some() {
             div.charts {

@@ -102,10 +102,9 @@ fn relief(shown: &Exhibit, [low, high]: [f32; 2]) -> RgbImage {
 /// Map of a layer in the colours of its ramp, over its scale.
 fn of_layer(layer: &Layer) -> Markup {
     let [low, high] = layer.range;
-    let colours = if layer.ramp == Ramp::Diverging {
-        &FELL_AND_ROSE
-    } else {
-        &SUN
+    let colours = match layer.ramp {
+        Ramp::Diverging => &FELL_AND_ROSE,
+        _ => &SUN,
     };
     let painted = |values: &Raster| {
         RgbImage::from_fn(values.width as u32, values.height as u32, |col, row| {
@@ -145,11 +144,8 @@ fn bar(shown: &Exhibit) -> Markup {
     let width_m = shown.altitude.width as f64 * shown.gsd_m;
     let most_m = BAR_MOST * width_m;
     let power = 10f64.powf(most_m.log10().floor());
-    let length_m = [5.0, 2.0, 1.0]
-        .map(|step| step * power)
-        .into_iter()
-        .find(|&m| m <= most_m)
-        .unwrap_or(power);
+    let mut lengths = [5.0, 2.0, 1.0].into_iter().map(|step| step * power);
+    let length_m = lengths.find(|&m| m <= most_m).unwrap_or(power);
     let share = number(Some(100.0 * length_m / width_m), 2);
     html! { div.bar style={ "width:" (share) "%" } { (plain(length_m)) " m" } }
 }
@@ -158,24 +154,19 @@ fn bar(shown: &Exhibit) -> Markup {
 pub(super) fn files(folder: &Folder) -> Markup {
     let mut rows = Vec::new();
     for within in ["", "products/"] {
-        let entries = std::fs::read_dir(folder.path.join(within))
-            .into_iter()
-            .flatten()
-            .flatten();
-        let mut names: Vec<String> = entries
-            .map(|entry| entry.file_name().to_string_lossy().into_owned())
-            .collect();
+        let entries = std::fs::read_dir(folder.path.join(within));
+        let names = entries.into_iter().flatten().flatten().map(|entry| entry.file_name());
+        let mut names: Vec<String> = names.map(|name| name.to_string_lossy().into_owned()).collect();
         names.sort_unstable();
         for (start, meaning) in FILES.lines().filter_map(|line| line.split_once(' ')) {
             let is_raster = |name: &str| !start.contains('.') && name.starts_with(start) && name.ends_with(".tif");
             // A mosaic of blocks has virtual rasters of the same names.
-            let plain = |name: &str| {
-                name.strip_suffix(".vrt")
-                    .map_or_else(|| name.to_owned(), |name| format!("{name}.tif"))
+            let plain = |name: &str| match name.strip_suffix(".vrt") {
+                Some(name) => format!("{name}.tif"),
+                None => name.to_owned(),
             };
-            let found = names
-                .iter()
-                .filter(|name| plain(name) == start || is_raster(&plain(name)));
+            let names = names.iter();
+            let found = names.filter(|name| plain(name) == start || is_raster(&plain(name)));
             rows.extend(found.map(|name| (format!("{within}{name}"), meaning)));
         }
     }

@@ -7,7 +7,7 @@ use super::pack::{self, GAMMA};
 use super::place::GridLocation;
 use crate::page::without_control_characters;
 use heliosplat_products::surface_shadow::CASTER;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{DOCTYPE, PreEscaped, html};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
@@ -16,6 +16,7 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 
 /// Largest size of the data of a page, bytes; its sources add some seventy thousand.
 const BYTES_MAX: usize = 3_900_000;
 const STYLE: &str = include_str!("page/style.css");
+const BODY: &str = include_str!("page/body.html");
 /// Sources of the page, in the order in which they are joined. The first four run without a browser.
 const SCRIPTS: [&str; 19] = [
     include_str!("page/sun.js"),
@@ -80,8 +81,7 @@ fn document(exhibit: &Exhibit, data: &Value) -> String {
                 style { (PreEscaped(STYLE)) }
             }
             body {
-                (stage(exhibit))
-                (panel(exhibit))
+                (PreEscaped(body(exhibit)))
                 pre id="report" hidden {}
                 script id="scene" type="application/json" { (PreEscaped(data)) }
                 script { (PreEscaped(script)) }
@@ -94,9 +94,7 @@ fn document(exhibit: &Exhibit, data: &Value) -> String {
 /// Data of the scripts.
 fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
     let altitude = &exhibit.altitude;
-    let nothing = || ViewError::Nothing {
-        what: exhibit.title.clone(),
-    };
+    let nothing = || ViewError::Nothing(exhibit.title.clone());
     let darkest = exhibit.light.shade.iter().flatten().copied().fold(1.0, f32::min);
     let albedo = || pack::albedo(exhibit.albedo.as_ref()?, darkest);
     let dates = || exhibit.dates.par_iter().map(date).collect::<Vec<_>>();
@@ -105,8 +103,8 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
         || rayon::join(|| pack::heights(altitude), albedo),
         || rayon::join(dates, layers),
     );
-    let heights = heights.ok_or_else(nothing)?;
-    let place = GridLocation::of(&exhibit.grid, f64::from(heights.low_m))?;
+    let (low_m, heights) = heights.ok_or_else(nothing)?;
+    let place = GridLocation::of(&exhibit.grid, f64::from(low_m))?;
     let crs = &exhibit.grid.crs;
     Ok(json!({
         "version": env!("CARGO_PKG_VERSION"),
@@ -132,10 +130,8 @@ fn data(exhibit: &Exhibit) -> Result<Value, ViewError> {
 }
 
 fn date(date: &TracedDate) -> Value {
-    let mask = date
-        .shadows
-        .as_ref()
-        .map(|shadows| pack::mask(shadows.plane(0).iter().map(|&shadow| shadow >= 0.5)));
+    let shadows = date.shadows.as_ref();
+    let mask = shadows.map(|shadows| pack::mask(shadows.plane(0).iter().map(|&shadow| shadow >= 0.5)));
     let [azimuth_deg, elevation_deg] = date.sun.degrees();
     json!({
         "name": date.name,
@@ -164,104 +160,27 @@ fn layer(layer: &Layer) -> Option<Value> {
     Some(out)
 }
 
-/// Map view, with the title and the controls over it.
-fn stage(exhibit: &Exhibit) -> Markup {
-    html! {
-        main id="stage" {
-            canvas id="view" tabindex="0" aria-label="Map; arrow keys move the sun, plus and minus zoom" {}
-            header {
-                h1 { (exhibit.title) }
-                p id="said" {}
+/// The map with the title and the controls over it, and the panel of controls.
+fn body(exhibit: &Exhibit) -> String {
+    let warning = html! {
+        @if exhibit.old_shadows {
+            section.warning {
+                "No sun of the images was known, so their shadows are still in the colours, beside those drawn here. \
+                 Relief shows the drawn ones alone."
             }
-            div id="divider" hidden { span {} }
-            div id="labels" hidden { span id="label-left" {} span id="label-right" {} }
-            div id="tools" {
-                div.segments role="group" aria-label="View" {
-                    button id="plan" aria-pressed="true" title="From above (P)" { "Plan" }
-                    button id="oblique" aria-pressed="false" title="From the side (O)" { "Oblique" }
-                }
-                button id="draw" aria-pressed="false" title="Draw a line, see its heights (L)" { "Profile" }
-                button id="fit" title="Show all of the map (0)" { "Show all" }
-                button id="save" title="Save the view as PNG with a world file (S)" { "Save" }
-            }
-            div id="profile" hidden {
-                button id="profile-close" aria-label="Close the profile" { "×" }
-                canvas id="profile-chart" {}
-                p id="profile-said" {}
-            }
-            div id="legend" hidden { canvas id="legend-bar" width="160" height="8" {} div id="legend-text" {} }
-            div id="bearings" {
-                span id="north" title="True north" { "N" span { "↑" } }
-                span id="scale" {}
-            }
-            output id="readout" {}
         }
-    }
-}
-
-/// Panel of controls.
-fn panel(exhibit: &Exhibit) -> Markup {
-    let has_dates = !exhibit.dates.is_empty();
-    html! {
-        aside id="panel" {
-            section id="sky" {
-                canvas id="dome" tabindex="0" aria-label="The sky; drag the sun, or use the arrow keys" {}
-                div id="numbers" {
-                    p { b id="azimuth-said" {} span { "azimuth" } }
-                    p { b id="elevation-said" {} span { "elevation" } }
-                    p { b id="shadow-said" {} span { "in shadow" } }
-                }
-            }
+    };
+    let dates = html! {
+        @if !exhibit.dates.is_empty() {
             section {
-                div.row {
-                    label for="date" { "Date" }
-                    input id="date" type="date" min="1901-01-01" max="2149-12-31";
-                    button id="play" title="Run through the day (space)" aria-label="Run through the day" { "▶" }
-                }
-                input id="hour" type="range" min="0" max="1439" step="1" aria-label="Time of the day";
-                p.clock { span id="utc" {} span id="civil" {} span id="solar" {} }
-                div.row {
-                    label for="zone" { "Clock of" }
-                    select id="zone" {}
-                }
-                details {
-                    summary { "Azimuth and elevation" }
-                    div.row {
-                        label for="azimuth" { "Azimuth" }
-                        input id="azimuth" type="range" min="0" max="360" step="0.5";
-                        input id="azimuth-number" type="number" min="0" max="360" step="0.1" aria-label="Azimuth, degrees";
-                    }
-                    div.row {
-                        label for="elevation" { "Elevation" }
-                        input id="elevation" type="range" min="0" max="90" step="0.25";
-                        input id="elevation-number" type="number" min="-90" max="90" step="0.1" aria-label="Elevation, degrees";
-                    }
-                }
+                h2 { "Dates of the images" }
+                div id="dates" {}
+                p.note id="agreement" {}
             }
-            @if exhibit.old_shadows {
-                section.warning {
-                    "No sun of the images was known, so their shadows are still in the colours, beside those drawn here. \
-                     Relief shows the drawn ones alone."
-                }
-            }
-            section {
-                div.row {
-                    label for="layer" { "Show" }
-                    select id="layer" {}
-                }
-                div.row {
-                    label for="against" { "Swipe" }
-                    select id="against" {}
-                }
-            }
-            @if has_dates {
-                section {
-                    h2 { "Dates of the images" }
-                    div id="dates" {}
-                    p.note id="agreement" {}
-                }
-            }
-            section.note id="notes" {}
         }
-    }
+    };
+    let body: String = BODY.lines().map(str::trim).collect();
+    let body = body.replace("{warning}", &warning.0).replace("{dates}", &dates.0);
+    // The title last: a name may hold the other marks.
+    body.replace("{title}", &html! { (exhibit.title) }.0)
 }

@@ -2,11 +2,11 @@
 
 use super::layer::Layer;
 use heliosplat::Raster;
+use heliosplat_products::export::shown;
 use heliosplat_products::model::ModelFile;
 use heliosplat_radiometry::daylight::Daylight;
 use heliosplat_raster::GridSpec;
 use heliosplat_rpc::sun::SunPosition;
-use heliosplat_scene::BandKind;
 use serde::Serialize;
 use std::borrow::Cow;
 
@@ -111,17 +111,6 @@ impl LightTable {
     }
 }
 
-/// Indices of the bands that are shown as red, green and blue: the bands of these kinds, or the first three, or the
-/// first for all.
-pub(super) fn shown(bands: &[BandKind]) -> [usize; 3] {
-    let place = |kind: BandKind| bands.iter().position(|&band| band == kind);
-    match (place(BandKind::Red), place(BandKind::Green), place(BandKind::Blue)) {
-        (Some(red), Some(green), Some(blue)) => [red, green, blue],
-        _ if bands.len() >= 3 => [0, 1, 2],
-        _ => [0; 3],
-    }
-}
-
 /// Raster of the three bands that are shown.
 pub(super) fn coloured(raster: &Raster, bands: [usize; 3]) -> Raster {
     Raster {
@@ -143,12 +132,7 @@ impl Exhibit {
         }
         let smaller = |raster: &Raster| averaged(raster, factor);
         let altitude = smaller(&self.altitude);
-        // The centre of a coarse cell is the mean of the centres of the cells that it replaces.
-        let mut grid = self.grid.part((0, 0), (altitude.width, altitude.height));
-        let middle = (factor - 1) as f64 / 2.0;
-        grid.transform.origin = self.grid.transform.map_from_pixel(middle, middle);
-        grid.transform.per_col = grid.transform.per_col.map(|step| step * factor as f64);
-        grid.transform.per_row = grid.transform.per_row.map(|step| step * factor as f64);
+        let grid = self.grid.reduced(factor);
         let date = |date: &TracedDate| TracedDate {
             name: date.name.clone(),
             shadows: date.shadows.as_ref().map(smaller),

@@ -1,9 +1,10 @@
 //! Content of the page of a surface model in a file of any source.
 
 use super::ViewError;
-use super::exhibit::{Exhibit, LightTable, shown};
+use super::exhibit::{Exhibit, LightTable};
 use heliosplat::Raster;
 use heliosplat_evaluate::resample::Placement;
+use heliosplat_products::export::shown;
 use heliosplat_raster::{GeoRaster, GridSpec, RasterFile, dsm_bands};
 use heliosplat_scene::BandKind;
 use std::path::Path;
@@ -29,8 +30,7 @@ pub(super) fn surface(path: &Path) -> Result<Exhibit, ViewError> {
     let grid = file.grid().ok_or_else(|| ViewError::NoCrs(path.to_owned()))?;
     let altitude = file.raster.band(file.band(dsm_bands::ALTITUDE).unwrap_or(0));
     if !altitude.values.iter().any(|z| z.is_finite()) {
-        let what = path.display().to_string();
-        return Err(ViewError::Nothing { what });
+        return Err(ViewError::Nothing(path.display().to_string()));
     }
     let metadata = RasterFile::open(path)?.domain("");
     let datum = metadata.get("VERTICAL_DATUM").cloned();

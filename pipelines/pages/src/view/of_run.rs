@@ -2,12 +2,13 @@
 //! height errors.
 
 use super::ViewError;
-use super::exhibit::{Exhibit, LightTable, TracedDate, coloured, shown};
+use super::exhibit::{Exhibit, LightTable, TracedDate, coloured};
 use super::layer::{Layer, Ramp};
 use super::of_files::{on_grid, surface};
 use super::ortho_image;
 use crate::page::picture_of;
 use heliosplat::timeline::concurrently;
+use heliosplat_products::export::shown;
 use heliosplat_products::model::{self, LoadedModel};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_products::relight::{LOWEST_SUN_DEG, Viewpoint};
@@ -67,10 +68,9 @@ fn title(folder: &Path) -> String {
 
 /// Name of a folder, or of a file without its extension.
 fn name_of(path: &Path) -> Option<&OsStr> {
-    if path.is_dir() {
-        path.file_name()
-    } else {
-        path.file_stem()
+    match path.is_dir() {
+        true => path.file_name(),
+        false => path.file_stem(),
     }
 }
 
@@ -97,12 +97,8 @@ fn traced(model: &LoadedModel, nadir: &NadirGrid) -> Result<Vec<TracedDate>, Vie
 /// Evenly sampled training images of the run, projected onto the grid.
 fn images(model: &LoadedModel, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
     let mut out = Vec::new();
-    let trained: Vec<_> = model
-        .file
-        .images
-        .iter()
-        .filter(|image| image.appearance.is_some())
-        .collect();
+    let images = model.file.images.iter();
+    let trained: Vec<_> = images.filter(|image| image.appearance.is_some()).collect();
     let step = trained.len().div_ceil(IMAGES_MAX).max(1);
     for image in trained.into_iter().step_by(step) {
         let path = model.folder.join("views").join(format!("{}.png", image.name));

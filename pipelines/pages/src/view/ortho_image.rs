@@ -26,37 +26,36 @@ pub(super) fn project(
     let (width, height) = (camera.width, camera.height);
     let cells = grid.width * grid.height;
     // Column, row and depth (metres) of each cell in the image.
-    let seen: Vec<Option<([f32; 2], f32)>> = (0..cells)
-        .into_par_iter()
-        .with_min_len(1024)
-        .map(|i| {
-            let (col, row) = (i % grid.width, i / grid.width);
-            let z = altitude.plane(0)[i];
-            let point = enu.enu(col as f64, row as f64, f64::from(z)).map(|v| v as f32).into();
-            let (x, y, _) = camera.project(point);
-            let inside = x >= 0.0 && y >= 0.0 && x <= (width - 1) as f32 && y <= (height - 1) as f32;
-            (z.is_finite() && inside).then(|| ([x, y], camera.depth(point)))
-        })
-        .collect();
+    let place = |i: usize| {
+        let (col, row) = (i % grid.width, i / grid.width);
+        let z = altitude.plane(0)[i];
+        let point = enu.enu(col as f64, row as f64, f64::from(z)).map(|v| v as f32).into();
+        let (x, y, _) = camera.project(point);
+        let inside = x >= 0.0 && y >= 0.0 && x <= (width - 1) as f32 && y <= (height - 1) as f32;
+        (z.is_finite() && inside).then(|| ([x, y], camera.depth(point)))
+    };
+    let cells_of_grid = (0..cells).into_par_iter().with_min_len(1024);
+    let seen: Vec<Option<([f32; 2], f32)>> = cells_of_grid.map(place).collect();
+    let pixel = |[x, y]: [f32; 2]| y.round() as usize * width + x.round() as usize;
     let mut nearest = vec![f32::INFINITY; width * height];
-    for ([x, y], depth) in seen.iter().flatten() {
-        let slot = &mut nearest[y.round() as usize * width + x.round() as usize];
-        *slot = slot.min(*depth);
+    for &(at, depth) in seen.iter().flatten() {
+        let slot = &mut nearest[pixel(at)];
+        *slot = slot.min(depth);
     }
     let mut out = Raster::filled(grid.width, grid.height, 3, f32::NAN);
     for (i, found) in seen.iter().enumerate() {
         let Some(([x, y], depth)) = *found else { continue };
-        if depth > nearest[y.round() as usize * width + x.round() as usize] + HIDDEN_M {
+        if depth > nearest[pixel([x, y])] + HIDDEN_M {
             continue;
         }
         let (fx, fy) = (x.fract(), y.fract());
         for band in 0..3 {
             let at = |dx: u32, dy: u32| {
-                let (c, r) = (
+                let (col, row) = (
                     (x as u32 + dx).min(width as u32 - 1),
                     (y as u32 + dy).min(height as u32 - 1),
                 );
-                f32::from(picture.get_pixel(c, r).0[band])
+                f32::from(picture.get_pixel(col, row).0[band])
             };
             let top = at(0, 0) * (1.0 - fx) + at(1, 0) * fx;
             let bottom = at(0, 1) * (1.0 - fx) + at(1, 1) * fx;

@@ -18,7 +18,7 @@ use heliosplat::Raster;
 use heliosplat_raster::preview::percentiles;
 use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage};
-use serde::Serialize;
+use serde_json::{Value, json};
 use std::io::Write;
 
 /// Finest step of heights, metres.
@@ -31,19 +31,6 @@ const SHADES: f32 = 50.0;
 /// Gamma of the albedo's picture.
 pub(super) const GAMMA: f32 = 2.2;
 
-/// Packed heights, as the module head describes them.
-#[derive(Debug, Serialize)]
-pub(super) struct Heights {
-    /// Altitude of step 0, metres.
-    pub low_m: f32,
-    /// Metres per step.
-    pub step_m: f32,
-    /// Steps of all cells, row by row.
-    pub data: String,
-    /// Mask of the known cells.
-    pub known: String,
-}
-
 fn deflated(bytes: &[u8]) -> String {
     // Writing to a Vec cannot fail.
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
@@ -51,8 +38,9 @@ fn deflated(bytes: &[u8]) -> String {
     STANDARD.encode(encoder.finish().unwrap_or_default())
 }
 
-/// Packs the heights of a raster's first band, metres; `None` if none is known.
-pub(super) fn heights(altitude: &Raster) -> Option<Heights> {
+/// Packs the heights of a raster's first band, metres; `None` if none is known. The altitude of step 0, and for the
+/// page the metres per step, the steps of all cells, row by row, and the mask of the known cells.
+pub(super) fn heights(altitude: &Raster) -> Option<(f32, Value)> {
     let plane = altitude.plane(0);
     let known = || plane.iter().copied().filter(|z| z.is_finite());
     let low_m = known().reduce(f32::min)?;
@@ -60,20 +48,18 @@ pub(super) fn heights(altitude: &Raster) -> Option<Heights> {
     let step_m = STEP_M.max((high_m - low_m) / f32::from(u16::MAX));
     let steps = steps(altitude, low_m, step_m);
     let width = altitude.width;
-    let folded: Vec<u16> = (0..steps.len())
-        .map(|i| {
-            let difference = steps[i].wrapping_sub(predicted(&steps, width, i)) as i16;
-            ((difference << 1) ^ (difference >> 15)) as u16
-        })
-        .collect();
+    let fold = |i: usize| {
+        let difference = steps[i].wrapping_sub(predicted(&steps, width, i)) as i16;
+        ((difference << 1) ^ (difference >> 15)) as u16
+    };
+    let folded: Vec<u16> = (0..steps.len()).map(fold).collect();
     let low = folded.iter().map(|value| *value as u8);
     let bytes: Vec<u8> = low.chain(folded.iter().map(|value| (value >> 8) as u8)).collect();
-    Some(Heights {
+    let known = mask(plane.iter().map(|z| z.is_finite()));
+    Some((
         low_m,
-        step_m,
-        data: deflated(&bytes),
-        known: mask(plane.iter().map(|z| z.is_finite())),
-    })
+        json!({"low_m": low_m, "step_m": step_m, "data": deflated(&bytes), "known": known}),
+    ))
 }
 
 /// Heights in whole steps; an unknown cell repeats the cell before it, which compresses well.
@@ -136,32 +122,18 @@ pub(super) fn map(values: &Raster, [low, high]: [f32; 2]) -> String {
     deflated(&values.plane(0).iter().map(byte).collect::<Vec<u8>>())
 }
 
-/// Packed albedo.
-#[derive(Debug, Serialize)]
-pub(super) struct Albedo {
-    /// `data:` address of the JPEG of `(albedo / white)^(1 / 2.2)`.
-    pub picture: String,
-    /// Albedo of the brightest value of the picture.
-    pub white: f32,
-    /// Largest brightness that is shown black, as a share of `white`, 0 to 0.5.
-    pub black: f32,
-}
-
 /// Packs a raster with red, green and blue as an albedo; `None` if nothing is known. The black point is 0.7 of the 1st
-/// percentile of the albedo under the darkest light, `shade`.
-pub(super) fn albedo(raster: &Raster, shade: f32) -> Option<Albedo> {
+/// percentile of the albedo under the darkest light, `shade`. For the page the JPEG of `(albedo / white)^(1 / 2.2)`,
+/// the albedo of its brightest value and the largest brightness that is shown black, as a share of that, 0 to 0.5.
+pub(super) fn albedo(raster: &Raster, shade: f32) -> Option<Value> {
     let (low, white) = percentiles(&raster.values, 0.01, 0.995)?;
     if white <= 0.0 {
         return None;
     }
-    let picture = picture(raster, QUALITY, |value| {
-        255.0 * (value / white).clamp(0.0, 1.0).powf(1.0 / GAMMA)
-    })?;
-    Some(Albedo {
-        picture,
-        white,
-        black: (0.7 * low * shade / white).clamp(0.0, 0.5),
-    })
+    let shown = |value: f32| 255.0 * (value / white).clamp(0.0, 1.0).powf(1.0 / GAMMA);
+    let picture = picture(raster, QUALITY, shown)?;
+    let black = (0.7 * low * shade / white).clamp(0.0, 0.5);
+    Some(json!({"picture": picture, "white": white, "black": black}))
 }
 
 /// Encodes a raster with red, green and blue, 0 to 255, as a JPEG in a `data:` address.
@@ -182,8 +154,7 @@ fn picture(raster: &Raster, quality: u8, shade: impl Fn(f32) -> f32) -> Option<S
         before
     });
     let mut bytes = Vec::new();
-    picture
-        .write_with_encoder(JpegEncoder::new_with_quality(&mut bytes, quality))
-        .ok()?;
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+    picture.write_with_encoder(encoder).ok()?;
     Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }

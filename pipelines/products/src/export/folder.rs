@@ -69,9 +69,8 @@ fn put(folder: &Path, old: &BTreeSet<String>, from: &Path) -> Result<(), RasterE
 /// Names of the earlier tiles in a folder; none where it holds nothing but `new`.
 fn ours(folder: &Path, new: &Path) -> Result<BTreeSet<String>, RasterError> {
     let entries = std::fs::read_dir(folder).map_err(|error| RasterError::from_io(folder, &error))?;
-    let mut others = entries
-        .flatten()
-        .filter(|entry| Some(&*entry.file_name()) != new.file_name());
+    let entries = entries.flatten();
+    let mut others = entries.filter(|entry| Some(&*entry.file_name()) != new.file_name());
     let text = bounded::read_text(&folder.join(TILESET)).unwrap_or_default();
     let tileset: Value = serde_json::from_str(&text).unwrap_or_default();
     let generator = tileset["asset"]["generator"].as_str().unwrap_or_default();

@@ -71,8 +71,9 @@ impl Display {
     }
 }
 
-/// Indices of the bands shown as red, green and blue.
-pub(super) fn shown(kinds: &[BandKind]) -> [usize; 3] {
+/// Indices of the bands that are shown as red, green and blue: the bands of these kinds, or the first three, or the
+/// first for all.
+pub fn shown(kinds: &[BandKind]) -> [usize; 3] {
     let place = |kind: BandKind| kinds.iter().position(|&k| k == kind);
     match (place(BandKind::Red), place(BandKind::Green), place(BandKind::Blue)) {
         (Some(red), Some(green), Some(blue)) => [red, green, blue],
@@ -172,10 +173,8 @@ impl Lit {
             let light = sun.map(|sun| Ok::<_, RelightError>((sun, light_of(&model, &sun)?)));
             let mut colours = colours(&model, light.transpose()?)?;
             tile.balance(&mut colours);
-            let moved = Moved::new(&model.frame, frame);
-            let splats = splats(&model, &colours, &display)
-                .into_iter()
-                .map(|splat| moved.splat(splat));
+            let splats = splats(&model, &colours, &display);
+            let splats = splats.into_iter().map(between(&model.frame, frame));
             all.extend(splats.filter(|splat| tile.contains(&nadir.camera, splat.position)));
         }
         Ok(Self {
@@ -201,27 +200,17 @@ impl Lit {
     }
 }
 
-/// Transform from one local frame to another; the two are turned against each other by the angle between their plumb
+/// Moves splats from one local frame to another; the two are turned against each other by the angle between their plumb
 /// lines.
-struct Moved {
-    turn: DMat3,
-    offset_m: DVec3,
-}
-
-impl Moved {
-    fn new(from: &LocalFrame, to: &LocalFrame) -> Self {
-        let turn = to.enu_from_ecef_rotation() * from.enu_from_ecef_rotation().transpose();
-        let offset = to.enu_from_geo(from.origin);
-        Self {
-            turn: DMat3::from_cols_slice(turn.as_slice()),
-            offset_m: DVec3::new(offset.x, offset.y, offset.z),
-        }
-    }
-
-    fn splat(&self, splat: Splat) -> Splat {
-        let rotation = DQuat::from_mat3(&self.turn).as_quat() * splat.rotation;
+fn between(from: &LocalFrame, to: &LocalFrame) -> impl Fn(Splat) -> Splat {
+    let turn = to.enu_from_ecef_rotation() * from.enu_from_ecef_rotation().transpose();
+    let turn = DMat3::from_cols_slice(turn.as_slice());
+    let offset = to.enu_from_geo(from.origin);
+    let offset_m = DVec3::new(offset.x, offset.y, offset.z);
+    move |splat| {
+        let rotation = DQuat::from_mat3(&turn).as_quat() * splat.rotation;
         Splat {
-            position: (self.turn * splat.position.as_dvec3() + self.offset_m).as_vec3(),
+            position: (turn * splat.position.as_dvec3() + offset_m).as_vec3(),
             rotation: rotation.normalize(),
             ..splat
         }
@@ -237,9 +226,8 @@ fn own_sun(file: &ModelFile) -> Option<SunPosition> {
 fn reference_sun(file: &ModelFile) -> Option<SunPosition> {
     let trained = || file.images.iter().filter(|image| image.appearance.is_some());
     let reference = trained().find(|image| image.appearance == Some(file.options.reference));
-    reference
-        .and_then(|image| image.sun)
-        .or_else(|| trained().find_map(|image| image.sun))
+    let sun = reference.and_then(|image| image.sun);
+    sun.or_else(|| trained().find_map(|image| image.sun))
 }
 
 /// Nadir image in the model's units; NaN where alpha is below one half.
@@ -253,9 +241,8 @@ fn from_above(model: &LoadedModel, light: Option<(SunPosition, Light)>) -> Resul
     };
     for band in 0..image.bands {
         let cells = image.plane_mut(band).iter_mut().zip(&seen.maps.alpha);
-        cells
-            .filter(|(_, alpha)| **alpha < 0.5)
-            .for_each(|(value, _)| *value = f32::NAN);
+        let unknown = cells.filter(|(_, alpha)| **alpha < 0.5);
+        unknown.for_each(|(value, _)| *value = f32::NAN);
     }
     Ok(image)
 }
@@ -335,7 +322,7 @@ mod tests {
             opacity: 1.0,
             colour: [0.5; 3],
         };
-        let moved = Moved::new(&from, &to).splat(splat);
+        let moved = between(&from, &to)(splat);
         let there = to.enu_from_geo(from.geo_from_enu(nalgebra::Vector3::new(30.0, -40.0, 12.0)));
         let there = Vec3::new(there.x as f32, there.y as f32, there.z as f32);
         assert!((moved.position - there).length() < 1e-3, "{} {there}", moved.position);

@@ -30,9 +30,8 @@ pub(super) struct Facets {
 impl Facets {
     /// The planes of an altitude raster.
     pub(super) fn of(altitude_m: &Raster, cells: &CellVectors) -> Self {
-        let planes = (0..altitude_m.plane_len())
-            .into_par_iter()
-            .map(|cell| plane(altitude_m, cells, cell));
+        let all = (0..altitude_m.plane_len()).into_par_iter();
+        let planes = all.map(|cell| plane(altitude_m, cells, cell));
         let planes: Vec<[f32; 3]> = planes.collect();
         Self {
             width: altitude_m.width,
