@@ -11,6 +11,9 @@ use rayon::prelude::*;
 /// Points that one thread takes at a time: a multiple of the eight that are computed side by side.
 const CHUNK: usize = 8192;
 
+/// Numbers of points, one for each.
+type Numbers<'py> = PyReadonlyArray1<'py, f64>;
+
 /// One array for each of two coordinates.
 type Pair<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
@@ -44,9 +47,9 @@ impl Camera {
     fn project<'py>(
         &self,
         py: Python<'py>,
-        lon_deg: PyReadonlyArray1<'py, f64>,
-        lat_deg: PyReadonlyArray1<'py, f64>,
-        height_m: PyReadonlyArray1<'py, f64>,
+        lon_deg: Numbers,
+        lat_deg: Numbers,
+        height_m: Numbers,
     ) -> PyResult<Pair<'py>> {
         let (lon, lat, height) = (lon_deg.as_slice()?, lat_deg.as_slice()?, height_m.as_slice()?);
         same_length(&[lon, lat, height])?;
@@ -62,13 +65,7 @@ impl Camera {
 
     /// Longitudes and latitudes, degrees, of image points (pixels) at heights (metres above the ellipsoid); NaN where
     /// an image point sees no ground. Arrays of different lengths raise `Error`.
-    fn localise<'py>(
-        &self,
-        py: Python<'py>,
-        col: PyReadonlyArray1<'py, f64>,
-        row: PyReadonlyArray1<'py, f64>,
-        height_m: PyReadonlyArray1<'py, f64>,
-    ) -> PyResult<Pair<'py>> {
+    fn localise<'py>(&self, py: Python<'py>, col: Numbers, row: Numbers, height_m: Numbers) -> PyResult<Pair<'py>> {
         let (col, row, height) = (col.as_slice()?, row.as_slice()?, height_m.as_slice()?);
         same_length(&[col, row, height])?;
         let (lons, lats) = py.detach(|| {

@@ -133,9 +133,8 @@ struct Surface<'a> {
 impl<'a> Surface<'a> {
     fn new(height_m: &'a PyReadonlyArray2<f32>, cell_m: f64) -> PyResult<Self> {
         if !(cell_m > 0.0 && cell_m.is_finite()) {
-            return Err(raised(format!(
-                "the side of a cell is {cell_m} m; it must be above zero"
-            )));
+            let text = format!("the side of a cell is {cell_m} m; it must be above zero");
+            return Err(raised(text));
         }
         let view = height_m.as_array();
         Ok(Self {

@@ -71,12 +71,7 @@ pub(super) fn cut(bounds: [f64; 4], gsd_m: f64, side: usize) -> Vec<Block> {
         let right = if col + 1 == cols { east } else { left + step };
         let bottom = if row + 1 == rows { south } else { top - step };
         let reach = reach_cells(gsd_m) as f64 * gsd_m;
-        let around = [
-            (left - reach).max(west),
-            (bottom - reach).max(south),
-            (right + reach).min(east),
-            (top + reach).min(north),
-        ];
+        let around = common([left - reach, bottom - reach, right + reach, top + reach], bounds);
         Block {
             row,
             col,

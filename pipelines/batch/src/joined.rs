@@ -105,11 +105,8 @@ fn virtual_rasters(grid: &GridSpec, blocks: &[Block], folder: &Path) -> Result<V
         let mut parts = Vec::with_capacity(with.len());
         for block in &with {
             let file = RasterFile::open(&block.folder.join(name))?;
-            parts.push(Part {
-                path: format!("../{}/{name}", block.name),
-                at: block.at,
-                size: file.size(),
-            });
+            let (path, at, size) = (format!("../{}/{name}", block.name), block.at, file.size());
+            parts.push(Part { path, at, size });
             first.get_or_insert((file.bands.clone(), file.domain("")));
         }
         let Some((bands, metadata)) = first else { continue };
@@ -158,11 +155,8 @@ fn overview(grid: &GridSpec, blocks: &[Block], work: &JoinedWork, folder: &Path)
             raster.bands += 1;
         }
     }
-    let dsm = Dsm {
-        raster,
-        grid: small.clone(),
-        geoid: work.geoid,
-    };
+    let mut dsm = Dsm::above_ellipsoid(raster, small.clone());
+    dsm.geoid = work.geoid;
     dsm.write(&folder.join(DSM))?;
     let shade = preview::hillshade(&dsm.altitude(), work.gsd_m * factor as f64);
     preview::write_png(&folder.with_file_name(PICTURE), &shade)?;

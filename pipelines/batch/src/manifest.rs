@@ -194,10 +194,8 @@ impl PresetEntry {
 impl AreaEntry {
     /// Bounds with their coordinate reference system, if stated.
     pub fn request(&self) -> Option<AreaRequest> {
-        Some(AreaRequest {
-            bounds: self.bounds?,
-            crs: self.crs.clone(),
-        })
+        let (bounds, crs) = (self.bounds?, self.crs.clone());
+        Some(AreaRequest { bounds, crs })
     }
 }
 

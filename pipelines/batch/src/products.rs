@@ -259,11 +259,8 @@ pub(super) fn reference(
             let gain = gains.get(band).map_or(1.0, |gain| *gain as f32);
             plane.extend(albedo.plane(band).iter().step_by(step).map(|value| value * gain));
         }
-        references.push(MosaicTile {
-            run: out.join(unit).join(RUN),
-            core: [[0; 2]; 2],
-            gains,
-        });
+        let (run, core) = (out.join(unit).join(RUN), [[0; 2]; 2]);
+        references.push(MosaicTile { run, core, gains });
     }
     let albedo = Raster {
         width: planes.first().map_or(0, Vec::len),

@@ -3,6 +3,7 @@
 //! Cores are disjoint blocks of cells of the mosaic's grid; a tile is its core with a margin that overlaps its
 //! neighbours. The overlap holds objects that cast shadows into the core, and lets the mosaic blend neighbours.
 
+use super::blocks::common;
 use super::manifest::{LEAST_SIDE_M, TileOptions};
 use super::{BatchError, Result};
 use heliosplat_raster::{Crs, GridSpec};
@@ -154,12 +155,10 @@ fn try_cut(
     for row in 0..rows {
         for col in 0..cols {
             let core = [line(col), level(row + 1), line(col + 1), level(row)];
-            let low = [0, 1].map(|side| (core[side] - overlap).max(bounds[side]));
-            let high = [2, 3].map(|side| (core[side] + overlap).min(bounds[side]));
-            let area = AreaRequest {
-                bounds: [low[0], low[1], high[0], high[1]],
-                crs: Some(grid.crs.definition().to_owned()),
-            };
+            let [left, bottom, right, top] = core;
+            let wider = [left - overlap, bottom - overlap, right + overlap, top + overlap];
+            let (bounds, crs) = (common(wider, bounds), Some(grid.crs.definition().to_owned()));
+            let area = AreaRequest { bounds, crs };
             let Some(survey) = request.survey.tile(&area)? else {
                 continue;
             };
@@ -223,9 +222,9 @@ pub(super) fn patches(tiling: &Tiling, gsd_m: f64) -> Vec<AreaRequest> {
         (0..count as usize).map(move |k| from + (k as f64 + 0.5) * (to - from) / count - 0.5 * side)
     };
     let rows = along(south, north, high);
-    let patch = |x: f64, y: f64| AreaRequest {
-        bounds: [x, y, x + wide, y + high],
-        crs: Some(tiling.crs.clone()),
+    let patch = |x: f64, y: f64| {
+        let (bounds, crs) = ([x, y, x + wide, y + high], Some(tiling.crs.clone()));
+        AreaRequest { bounds, crs }
     };
     let corners = rows.flat_map(|y| along(west, east, wide).map(move |x| (x, y)));
     corners.map(|(x, y)| patch(x, y)).collect()

@@ -159,10 +159,8 @@ pub fn main() -> ExitCode {
                 let line = text.lines().next().unwrap_or_default().trim_start_matches("error: ");
                 report_json(line, 2);
             }
-            return ExitCode::from(printed.map_or_else(
-                |error| error.exit_code(),
-                |()| u8::try_from(said.exit_code()).unwrap_or(2),
-            ));
+            let code = u8::try_from(said.exit_code()).unwrap_or(2);
+            return ExitCode::from(printed.err().map_or(code, |error| error.exit_code()));
         }
     };
     log::start(cli.verbose, cli.quiet);
@@ -181,9 +179,8 @@ fn run(cli: &Cli) -> Result<Outcome, CliError> {
     if let Some(threads) = cli.threads {
         let most = threads_max();
         if threads == 0 || threads > most {
-            return Err(CliError::Input(format!(
-                "--threads {threads}: give 1 to {most}; more than there are cores make it slower"
-            )));
+            let range = format!("give 1 to {most}; more than there are cores make it slower");
+            return Err(CliError::Input(format!("--threads {threads}: {range}")));
         }
         let started = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
         started.map_err(|error| CliError::Failed(format!("threads cannot be started: {error}")))?;
@@ -244,12 +241,9 @@ fn print_line(text: &str) -> Result<(), CliError> {
 
 /// Result of writing to stdout; a closed pipe (`| head`) is no failure.
 fn checked(written: std::io::Result<()>) -> Result<(), CliError> {
-    match written {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(CliError::Failed(format!(
-            "the result cannot be written to stdout ({error})"
-        ))),
-        _ => Ok(()),
-    }
+    let fault = written.err().filter(|error| error.kind() != ErrorKind::BrokenPipe);
+    let failed = |error| CliError::Failed(format!("the result cannot be written to stdout ({error})"));
+    fault.map_or(Ok(()), |error| Err(failed(error)))
 }
 
 #[cfg(test)]

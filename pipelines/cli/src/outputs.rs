@@ -11,16 +11,12 @@ const OF_A_RUN: [&str; 4] = ["model.ply", "model.json", "run.toml", "metrics.jso
 
 /// Files that a command reads.
 #[derive(Debug, Clone, Default)]
-pub struct Inputs {
-    files: Vec<PathBuf>,
-}
+pub struct Inputs(Vec<PathBuf>);
 
 impl Inputs {
     /// Inputs from paths of files; absent files are ignored by the checks.
     pub fn of_files<P: Into<PathBuf>>(files: impl IntoIterator<Item = P>) -> Self {
-        Self {
-            files: files.into_iter().map(Into::into).collect(),
-        }
+        Self(files.into_iter().map(Into::into).collect())
     }
 
     /// Files of a run, of a scene or of an object, and its training images.
@@ -41,7 +37,7 @@ impl Inputs {
     /// # Errors
     /// [`CliError::Input`] for such an output.
     pub fn keep(&self, out: &Path) -> Result<(), CliError> {
-        let same_as = |id| self.files.iter().find(|file| identity(file).as_ref() == Some(&id));
+        let same_as = |id| self.0.iter().find(|file| identity(file).as_ref() == Some(&id));
         let Some(same) = identity(out).and_then(same_as) else {
             return Ok(());
         };
@@ -64,7 +60,7 @@ impl Inputs {
     /// [`CliError::Input`] for such a folder.
     pub fn keep_folder(&self, out: &Path) -> Result<(), CliError> {
         let holds = |file: &&PathBuf| file.is_file() && identity(folder_of(file)) == identity(out);
-        let Some(held) = self.files.iter().find(holds).filter(|_| out.exists()) else {
+        let Some(held) = self.0.iter().find(holds).filter(|_| out.exists()) else {
             return Ok(());
         };
         Err(CliError::Input(format!(
@@ -105,9 +101,8 @@ pub fn must_end_in(option: &str, path: &Path, formats: &[&str]) -> Result<(), Cl
         return Ok(());
     }
     let (path, endings) = (path.display(), formats.join(" or ."));
-    Err(CliError::Input(format!(
-        "{option} {path}: give it a name that ends in .{endings}"
-    )))
+    let text = format!("{option} {path}: give it a name that ends in .{endings}");
+    Err(CliError::Input(text))
 }
 
 #[cfg(test)]

@@ -89,10 +89,8 @@ pub(super) fn choose(said: StatedAltitudes, stated: &[Stated], warnings: &mut Ve
 
 /// Common validity range of all RPCs, metres; empty (lowest above highest) where the RPCs contradict each other.
 pub(super) fn valid_for_all(stated: &[Stated]) -> (f64, f64) {
-    let ranges = stated.iter().map(|image| image.rpc_m);
-    ranges.fold(EARTH_M, |range, of_image| {
-        (range.0.max(of_image.0), range.1.min(of_image.1))
-    })
+    let common = |range: (f64, f64), image: &Stated| (range.0.max(image.rpc_m.0), range.1.min(image.rpc_m.1));
+    stated.iter().fold(EARTH_M, common)
 }
 
 fn checked((low_m, high_m): (f64, f64), source: AltitudeSource, origin: &str) -> Result<AltitudeRange> {

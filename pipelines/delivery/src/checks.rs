@@ -56,11 +56,8 @@ impl Found {
     fn above(value: f64, bound: f64, what: String) -> Option<Self> {
         // NaN fails the check.
         let holds = value > bound || value.is_nan();
-        holds.then_some(Self {
-            value: value.is_finite().then_some(value),
-            bound: Some(bound),
-            what,
-        })
+        let (value, bound) = (value.is_finite().then_some(value), Some(bound));
+        holds.then_some(Self { value, bound, what })
     }
 }
 
@@ -240,9 +237,8 @@ fn unread(draft: &Draft, _: RpcPreference) -> Option<Found> {
     let (path, reason) = draft.cameras.unread.first()?;
     let used = &draft.cameras.used.source;
     let path = path.display();
-    Some(Found::plain(format!(
-        "the RPC in {path} cannot be read ({reason}); used: {used}"
-    )))
+    let text = format!("the RPC in {path} cannot be read ({reason}); used: {used}");
+    Some(Found::plain(text))
 }
 
 /// Largest relative difference between an RPC's scale and half the size of its image, for the two to count as equal.

@@ -64,9 +64,8 @@ pub(super) fn read_all(
     let assumption = drafts.iter().find_map(|draft| draft.plan.assumption.as_ref());
     if let Some((assumption, first)) = assumption.zip(drafts.first()) {
         let path = first.entry.path.display();
-        warnings.push(format!(
-            "{path}: {assumption}; say otherwise with bands = [...] in a scene.toml"
-        ));
+        let text = format!("{path}: {assumption}; say otherwise with bands = [...] in a scene.toml");
+        warnings.push(text);
     }
     Ok(drafts)
 }

@@ -59,10 +59,9 @@ pub fn seen(path: &Path) -> Seen {
     let data = std::fs::metadata(path).ok();
     let changed = data.as_ref().and_then(|data| data.modified().ok());
     let since = changed.and_then(|time| time.duration_since(SystemTime::UNIX_EPOCH).ok());
-    Seen {
-        bytes: data.map_or(0, |data| data.len()),
-        changed_ns: since.unwrap_or_default().as_nanos(),
-    }
+    let bytes = data.map_or(0, |data| data.len());
+    let changed_ns = since.unwrap_or_default().as_nanos();
+    Seen { bytes, changed_ns }
 }
 
 /// Hashes of files, reused for files with unchanged size and modification time.
@@ -75,9 +74,8 @@ impl Hashes {
     /// Loads the hashes stored in the folder `out`; empty where there are none.
     pub fn open(out: &Path) -> Self {
         let text = read_bytes(&out.join(HASHES), TEXT_MAX).unwrap_or_default();
-        Self {
-            known: serde_json::from_slice(&text).unwrap_or_default(),
-        }
+        let known = serde_json::from_slice(&text).unwrap_or_default();
+        Self { known }
     }
 
     /// Stores the hashes in the folder `out`.
@@ -100,18 +98,15 @@ impl Hashes {
             None => sum(path, sha256::of_file)?,
         };
         self.known.insert(path.to_owned(), (now, sha256.clone()));
-        Ok(FileIdentity {
-            path: path.to_owned(),
-            seen: now,
-            sha256,
-        })
+        let (path, seen) = (path.to_owned(), now);
+        Ok(FileIdentity { path, seen, sha256 })
     }
 
     /// Adds known identities, for example those of an earlier run.
     pub fn learn(&mut self, identities: impl IntoIterator<Item = FileIdentity>) {
         let known = identities.into_iter();
-        self.known
-            .extend(known.map(|file| (file.path, (file.seen, file.sha256))));
+        let known = known.map(|file| (file.path, (file.seen, file.sha256)));
+        self.known.extend(known);
     }
 
     /// Names and hashes of `files`, one line each. For `rasters`, which may be too large to read, size, modification

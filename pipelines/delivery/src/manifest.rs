@@ -61,11 +61,8 @@ fn time<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<jiff
         toml::Value::String(text) => text,
         other => other.to_string(),
     };
-    let wrong = |_| {
-        serde::de::Error::custom(format!(
-            "{text:?} is no time with a zone; write time = \"2016-04-23T08:34:00Z\" (UTC)"
-        ))
-    };
+    let remedy = "write time = \"2016-04-23T08:34:00Z\" (UTC)";
+    let wrong = |_| serde::de::Error::custom(format!("{text:?} is no time with a zone; {remedy}"));
     text.trim().parse().map(Some).map_err(wrong)
 }
 

@@ -78,9 +78,8 @@ impl Found {
     fn fault(&self) -> Option<String> {
         let [across, down] = self.relation.scale.map(|scale| 1.0 / scale);
         if !RATIOS.contains(&across) || !RATIOS.contains(&down) {
-            return Some(format!(
-                "a multispectral pixel is {across:.2} x {down:.2} panchromatic ones"
-            ));
+            let text = format!("a multispectral pixel is {across:.2} x {down:.2} panchromatic ones");
+            return Some(text);
         }
         if self.residual_px > AGREE_PX {
             let off_px = self.residual_px;
@@ -119,10 +118,8 @@ fn relation(
         (scale, other - scale * own)
     };
     let [cols, rows] = [line(0), line(1)];
-    let relation = GridRelation {
-        scale: [cols.0, rows.0],
-        offset: [cols.1, rows.1],
-    };
+    let (scale, offset) = ([cols.0, rows.0], [cols.1, rows.1]);
+    let relation = GridRelation { scale, offset };
     let mut residual_px: f64 = 0.0;
     for (own, other) in &pairs {
         let off = |axis: usize| relation.scale[axis] * own[axis] + relation.offset[axis] - other[axis];

@@ -80,10 +80,8 @@ impl ImageFiles {
             let places = places_in_til(&text);
             let place = |path: &PathBuf| {
                 let name = path.file_name()?.to_string_lossy().to_lowercase();
-                Some(Tile {
-                    first: *places.get(&name)?,
-                    path: path.clone(),
-                })
+                let (first, path) = (*places.get(&name)?, path.clone());
+                Some(Tile { first, path })
             };
             if let Some(tiles) = self.tiles.values().map(place).collect::<Option<Vec<_>>>() {
                 return Ok(tiles);

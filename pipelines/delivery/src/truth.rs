@@ -16,10 +16,8 @@ pub(super) fn find_for(home: &Path, images: &[String], folders: &Folders, warnin
         Some(area) if named_by_folder.dsm.is_none() && area != folder => find(home, &area, folders, &mut Vec::new()),
         _ => named_by_folder,
     };
-    Truth {
-        relit: relit_truth::folder_of(truth.dsm.as_deref(), home),
-        ..truth
-    }
+    let relit = relit_truth::folder_of(truth.dsm.as_deref(), home);
+    Truth { relit, ..truth }
 }
 
 impl Truth {

@@ -22,9 +22,8 @@ pub(super) fn read(path: &Path, prediction: &GeoRaster, warnings: &mut Vec<Strin
     };
     if crs.is_none() {
         let path = path.display();
-        warnings.push(format!(
-            "{path}: has no coordinate system; that of the prediction is assumed"
-        ));
+        let text = format!("{path}: has no coordinate system; that of the prediction is assumed");
+        warnings.push(text);
     }
     Ok(GeoRaster {
         raster,

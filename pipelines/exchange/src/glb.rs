@@ -13,11 +13,8 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
 /// The contents exceed the size limit of the format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("{bytes} bytes do not fit into one GLB file, which holds 4 GiB; write tiles instead (--tiles DIR)")]
-pub struct TooLarge {
-    /// Length that the file or one of its parts would have, bytes.
-    pub bytes: u64,
-}
+#[error("{0} bytes do not fit into one GLB file, which holds 4 GiB; write tiles instead (--tiles DIR)")]
+pub struct TooLarge(pub u64);
 
 /// GLB file under construction: its buffer, buffer views and accessors.
 #[derive(Debug, Default)]
@@ -103,7 +100,7 @@ impl Builder {
         // Chunks end at multiples of four: text in spaces, numbers in zeros.
         text.resize(text.len().next_multiple_of(4), b' ');
         let length = 12 + 8 + text.len() + 8 + self.binary.len();
-        let short = |length: usize| u32::try_from(length).map_err(|_| TooLarge { bytes: length as u64 });
+        let short = |length: usize| u32::try_from(length).map_err(|_| TooLarge(length as u64));
         let mut out = Vec::with_capacity(length);
         out.extend(b"glTF");
         for number in [2, short(length)?, short(text.len())?] {
@@ -150,12 +147,7 @@ pub fn bounds(places: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
 }
 
 fn kind(width: usize) -> &'static str {
-    match width {
-        1 => "SCALAR",
-        2 => "VEC2",
-        3 => "VEC3",
-        _ => "VEC4",
-    }
+    ["SCALAR", "VEC2", "VEC3", "VEC4"][width - 1]
 }
 
 /// The two chunks of a file, for tests: its document and its buffer.

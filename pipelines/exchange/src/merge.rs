@@ -78,10 +78,8 @@ fn grown(scale: Vec3, times: f32, widest_m: f32) -> Vec3 {
 /// Standard deviations along the principal axes of a covariance, and the rotation to these axes.
 fn axes(covariance: Mat3) -> (Vec3, Quat) {
     let matrix = nalgebra::Matrix3::from_column_slice(&covariance.to_cols_array());
-    let nalgebra::SymmetricEigen {
-        eigenvalues,
-        eigenvectors,
-    } = matrix.symmetric_eigen();
+    let eigen = matrix.symmetric_eigen();
+    let (eigenvalues, eigenvectors) = (eigen.eigenvalues, eigen.eigenvectors);
     let column = |k: usize| Vec3::from(<[f32; 3]>::from(eigenvectors.column(k).into_owned()));
     let turn = Mat3::from_cols(column(0), column(1), column(0).cross(column(1)));
     let scale = Vec3::from(<[f32; 3]>::from(eigenvalues)).max(Vec3::ZERO);

@@ -59,10 +59,8 @@ pub struct Pace {
 impl Pace {
     /// The pace of a training on `views` views.
     pub fn new(views: usize) -> Self {
-        Self {
-            last: VecDeque::new(),
-            window: 4 * views.max(1),
-        }
+        let (last, window) = (VecDeque::new(), 4 * views.max(1));
+        Self { last, window }
     }
 
     /// Adds the duration of a step.

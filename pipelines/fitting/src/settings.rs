@@ -37,11 +37,10 @@ impl ConfigError {
     /// [`Self::Value`] for the first value that is not allowed.
     pub fn check(values: &[(&str, f64, bool, &'static str)]) -> Result<(), Self> {
         match values.iter().find(|(_, _, fits, _)| !fits) {
-            Some(&(key, value, _, expected)) => Err(Self::Value {
-                key: key.into(),
-                value: value.to_string(),
-                expected,
-            }),
+            Some(&(key, value, _, expected)) => {
+                let (key, value) = (key.into(), value.to_string());
+                Err(Self::Value { key, value, expected })
+            }
             None => Ok(()),
         }
     }
@@ -85,11 +84,9 @@ impl std::str::FromStr for Preset {
 
     fn from_str(text: &str) -> Result<Self, ConfigError> {
         let found = Self::ALL.into_iter().find(|preset| preset.name() == text);
-        found.ok_or_else(|| ConfigError::Value {
-            key: "preset".into(),
-            value: text.into(),
-            expected: "preview, fast, balanced, accurate or best",
-        })
+        let expected = "preview, fast, balanced, accurate or best";
+        let (key, value) = ("preset".into(), text.into());
+        found.ok_or(ConfigError::Value { key, value, expected })
     }
 }
 

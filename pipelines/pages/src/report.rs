@@ -88,11 +88,9 @@ struct Contents {
 
 impl Contents {
     fn read(folder: &Path) -> Result<Self, RunError> {
-        Ok(Self {
-            run: load_run(folder)?,
-            model: load_file(folder)?,
-            folder: Folder::read(folder, "metrics.json")?,
-        })
+        let (run, model) = (load_run(folder)?, load_file(folder)?);
+        let folder = Folder::read(folder, "metrics.json")?;
+        Ok(Self { folder, run, model })
     }
 }
 

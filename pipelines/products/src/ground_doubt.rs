@@ -46,10 +46,8 @@ impl StartProbability {
             );
             return Ok(None);
         };
-        Ok(Some(Self {
-            nadir: NadirGrid::on(place, grid)?,
-            values: start.raster.plane(band).to_vec(),
-        }))
+        let (nadir, values) = (NadirGrid::on(place, grid)?, start.raster.plane(band).to_vec());
+        Ok(Some(Self { nadir, values }))
     }
 
     /// Widens the standard deviations of a surface, metres, on the grid of `nadir`; `altitude_m` is above the

@@ -204,10 +204,8 @@ pub fn load_whole(folder: &Path) -> Result<LoadedModel, RunError> {
     let (path, bytes) = read_gaussians(folder, file.gaussians_sha256.as_deref())?;
     let gaussians = ply::decode(&bytes, &model).map_err(|reason| RunError::Damaged(path, reason))?;
     let frame = LocalFrame::new(file.origin);
-    let parameters = Parameters {
-        gaussians,
-        globals: file.globals.clone(),
-    };
+    let globals = file.globals.clone();
+    let parameters = Parameters { gaussians, globals };
     Ok(LoadedModel {
         folder: folder.to_owned(),
         file,

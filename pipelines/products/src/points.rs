@@ -62,15 +62,12 @@ fn writer(crs: &Crs, low: [f64; 3]) -> Result<Writer<Cursor<Vec<u8>>>, las::Erro
     builder.date = None;
     // A power of ten, so that coordinates have no spurious digits.
     let step = 10f64.powf((STEP_M / crs.metres_per_unit()).log10().round());
-    let axis = |low: f64, scale: f64| Transform {
-        scale,
-        offset: if low.is_finite() { low.floor() } else { 0.0 },
+    let axis = |low: f64, scale: f64| {
+        let offset = if low.is_finite() { low.floor() } else { 0.0 };
+        Transform { scale, offset }
     };
-    builder.transforms = Vector {
-        x: axis(low[0], step),
-        y: axis(low[1], step),
-        z: axis(low[2], STEP_M),
-    };
+    let (x, y, z) = (axis(low[0], step), axis(low[1], step), axis(low[2], STEP_M));
+    builder.transforms = Vector { x, y, z };
     let mut header = builder.into_header()?;
     let mut wkt = crs.wkt().as_bytes().to_vec();
     wkt.push(0);

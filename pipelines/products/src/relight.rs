@@ -250,10 +250,8 @@ pub(crate) fn composed(
         globals.group_mut(SKY)[reference * bands + k] = softplus_inverse(shade);
     }
     // The maps hold the features of the Gaussians.
-    let parameters = Parameters {
-        gaussians: Table::zeros(model.model.feature_groups(), 0),
-        globals,
-    };
+    let gaussians = Table::zeros(model.model.feature_groups(), 0);
+    let parameters = Parameters { gaussians, globals };
     let context = Context {
         parameters: &parameters,
         camera,

@@ -33,10 +33,8 @@ impl BandLight {
     pub fn of(file: &ModelFile, sun: &SunPosition) -> Option<Vec<Self>> {
         let daylight = file.daylight.as_ref()?;
         let model = ShadowGs::new(file.options.clone());
-        let parameters = Parameters {
-            gaussians: Table::zeros(model.feature_groups(), 0),
-            globals: file.globals.clone(),
-        };
+        let (gaussians, globals) = (Table::zeros(model.feature_groups(), 0), file.globals.clone());
+        let parameters = Parameters { gaussians, globals };
         let path = model.colour(&parameters, file.options.reference).1;
         let light = |(k, path): (usize, f32)| Self {
             ground: file.counts_per_unit * daylight.gain(k, sun.elevation_rad),

@@ -67,11 +67,8 @@ impl Asset {
         if let Some(sun) = sun {
             insert_sun(&mut value, sun);
         }
-        Self {
-            key: key.into(),
-            file: file.into(),
-            value,
-        }
+        let (key, file) = (key.into(), file.into());
+        Self { key, file, value }
     }
 
     /// Asset of a file other than a raster: key, file and title, media type and role.

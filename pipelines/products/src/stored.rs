@@ -39,13 +39,8 @@ impl StoredPiece {
     /// Part of the piece in some rows of the mosaic, with row numbers from the first of them; `None` where there is
     /// none.
     fn rows(&self, rows: &Range<isize>) -> Result<Option<Piece>, RasterError> {
-        let Piece {
-            raster,
-            at,
-            core,
-            bounds,
-            ..
-        } = &self.outline;
+        let piece = &self.outline;
+        let (raster, at, core, bounds) = (&piece.raster, piece.at, piece.core, piece.bounds);
         let (first, end) = (rows.start.max(at[1]), rows.end.min(at[1] + raster.height as isize));
         if first >= end {
             return Ok(None);

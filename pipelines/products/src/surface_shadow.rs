@@ -133,10 +133,8 @@ impl SurfaceShadows {
         let moved = sweep.aside.abs() * sweep.lines as f64;
         // Ray r is at cell r + base + line * aside.
         let base = if sweep.aside >= 0.0 { -moved.ceil() - 1.0 } else { -1.0 };
-        let nothing = Ray {
-            dark_m: f32::NEG_INFINITY,
-            behind: 1.0,
-        };
+        let (dark_m, behind) = (f32::NEG_INFINITY, 1.0);
+        let nothing = Ray { dark_m, behind };
         let mut rays = vec![nothing; sweep.across + moved.ceil() as usize + 3];
         for number in 0..sweep.lines {
             let line = match sweep.from_last {
@@ -220,10 +218,7 @@ impl Sweep {
     fn pass(&self, ray: &mut Ray, up_m: f32) {
         let clear_m = up_m - ray.dark_m;
         if clear_m >= CASTER.low_m || clear_m >= self.blur_m * ray.behind {
-            *ray = Ray {
-                dark_m: up_m,
-                behind: 0.0,
-            };
+            (ray.dark_m, ray.behind) = (up_m, 0.0);
         } else if ray.behind == 1.0 && ray.dark_m + self.drop_m - up_m > CASTER.steep * self.step_m {
             // A wall: its edge stands beyond the middle of the cell before.
             ray.dark_m += CASTER.edge_cells * self.drop_m;

@@ -5,7 +5,7 @@ use super::shadow_mask::Evidence;
 use crate::model::{LoadedModel, ModelImage};
 use heliosplat::light::Light;
 use heliosplat::model::Context;
-use heliosplat::render::{Rendering, render};
+use heliosplat::render::render;
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_evaluate::image::{ImageScore, score_image};
 use heliosplat_scene::{crop, saturation};
@@ -64,10 +64,7 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
     let appearance = image.appearance.or(image.same_day);
     let (shown, options) = (&model.parameters, model.pass_options());
     let seen = render(&model.model, shown, &camera, light, appearance, options);
-    let Rendering {
-        image: mut colours,
-        maps,
-    } = seen;
+    let (mut colours, maps) = (seen.image, seen.maps);
     let mut traced = Raster {
         width: camera.width,
         height: camera.height,

@@ -49,10 +49,8 @@ pub struct Surroundings {
 impl Surroundings {
     /// Altitudes of a grid without ground around it.
     pub fn none(dsm: &Dsm) -> Self {
-        Self {
-            altitude: dsm.altitude(),
-            at: (0, 0),
-        }
+        let (altitude, at) = (dsm.altitude(), (0, 0));
+        Self { altitude, at }
     }
 
     /// Part of `raster`, which covers the surroundings, on a grid of `size` columns and rows.

@@ -27,9 +27,8 @@ pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
     }
     if known.len() > limit {
         let bytes = known.len();
-        return Err(refused(format!(
-            "it has {bytes} bytes, more than the {limit} that such a file may have"
-        )));
+        let text = format!("it has {bytes} bytes, more than the {limit} that such a file may have");
+        return Err(refused(text));
     }
     let mut bytes = Vec::new();
     // The read is limited too: files of /proc report a size of zero, and a file may grow meanwhile.

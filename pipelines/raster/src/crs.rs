@@ -265,10 +265,8 @@ impl CrsTransform {
                 made
             }
         };
-        Ok(Self {
-            transform,
-            target: name.to_owned(),
-        })
+        let target = name.to_owned();
+        Ok(Self { transform, target })
     }
 
     /// Transforms one point, in map units or degrees.

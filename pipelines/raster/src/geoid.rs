@@ -101,11 +101,8 @@ impl Undulation {
                 }
             }
         }
-        Err(RasterError::MissingGrid {
-            name: geoid.name(),
-            grids: geoid.grids().join(", "),
-            first: geoid.grids()[0],
-        })
+        let (name, grids, first) = (geoid.name(), geoid.grids().join(", "), geoid.grids()[0]);
+        Err(RasterError::MissingGrid { name, grids, first })
     }
 
     /// Height of the geoid above the ellipsoid, metres, at a longitude and latitude in degrees.

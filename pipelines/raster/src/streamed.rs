@@ -45,11 +45,8 @@ impl StreamedCog {
             Ok(dataset)
         })
         .map_err(|reason| failed(path, reason))?;
-        Ok(Self {
-            path: path.to_owned(),
-            folder,
-            dataset,
-        })
+        let path = path.to_owned();
+        Ok(Self { path, folder, dataset })
     }
 
     /// Writes whole rows of all bands from `row0` on; `NaN` and infinities become nodata.

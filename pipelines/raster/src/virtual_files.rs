@@ -131,10 +131,8 @@ struct VirtualFile {
 #[allow(unsafe_code, reason = "the crate gdal has no files on virtual file systems")]
 impl VirtualFile {
     fn fault(what: &'static str) -> gdal::errors::GdalError {
-        gdal::errors::GdalError::NullPointer {
-            method_name: what,
-            msg: "the store does not take it".into(),
-        }
+        let (method_name, msg) = (what, "the store does not take it".into());
+        gdal::errors::GdalError::NullPointer { method_name, msg }
     }
 
     fn open(path: &Path, mode: &CStr) -> gdal::errors::Result<Self> {

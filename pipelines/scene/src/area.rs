@@ -49,9 +49,8 @@ impl AreaRequest {
         }
         let on_earth = [west, east].iter().all(|lon| lon.abs() <= 180.0) && south >= -90.0 && north <= 90.0;
         if self.crs.is_none() && !on_earth {
-            return Err(format!(
-                "{self}: these are no degrees; give the system with EPSG:N at the end"
-            ));
+            let text = format!("{self}: these are no degrees; give the system with EPSG:N at the end");
+            return Err(text);
         }
         if self.crs.is_none() && east - west > 180.0 {
             return Err(format!(

@@ -137,11 +137,8 @@ impl KeptCut {
                 return Err(difference);
             }
             let (window, split) = (kept.window, kept.split);
-            images.push(CutImage {
-                image: place,
-                window,
-                split,
-            });
+            let image = place;
+            images.push(CutImage { image, window, split });
         }
         Ok(Cut {
             frame: LocalFrame::new(self.origin),
@@ -165,9 +162,8 @@ impl KeptImage {
         let path = now.path.display();
         let ((width, height), (now_width, now_height)) = (self.size, now.size);
         if self.size != now.size {
-            return Some(format!(
-                "{path} has {now_width} x {now_height} pixels, not {width} x {height}"
-            ));
+            let text = format!("{path} has {now_width} x {now_height} pixels, not {width} x {height}");
+            return Some(text);
         }
         if self.bands != now.bands.kinds || self.file_bands != now.bands.file_bands {
             return Some(format!("{path} has other bands"));

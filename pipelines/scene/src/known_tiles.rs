@@ -27,9 +27,8 @@ impl KnownTiles {
             if 2 * with_data > cells { '1' } else { '0' }
         };
         let row = |row: usize| (0..width.div_ceil(TILE_PX)).map(|col| most(col, row)).collect();
-        Some(Self {
-            rows: (0..height.div_ceil(TILE_PX)).map(row).collect(),
-        })
+        let rows = (0..height.div_ceil(TILE_PX)).map(row).collect();
+        Some(Self { rows })
     }
 
     /// True if the tile of a pixel (column, row) has data; false outside of the image.

@@ -127,10 +127,8 @@ fn read_all<'a>(index: &'a Index, cut: &Cut, warnings: &mut Vec<String>) -> Resu
 
 /// Meaning of an image's values, from its metadata.
 fn values_of(image: &IndexImage, sun: &ImageSun, counts_per_unit: f64) -> Values {
-    let bands = values::FileBands {
-        kinds: &image.bands.kinds,
-        places: &image.bands.file_bands,
-    };
+    let (kinds, places) = (&image.bands.kinds, &image.bands.file_bands);
+    let bands = values::FileBands { kinds, places };
     let light = values::Illumination {
         sun: sun.position,
         time: image.acquisition.time,

@@ -12,9 +12,8 @@ pub(super) fn keep_if_here(truth: &mut Truth, frame: &LocalFrame, area: &Area, w
     let Some(ground) = ground_of(path, frame) else { return };
     if ground.intersection(area).is_none() {
         let path = path.display();
-        warnings.push(format!(
-            "{path}: this truth is on other ground than the scene, left out"
-        ));
+        let text = format!("{path}: this truth is on other ground than the scene, left out");
+        warnings.push(text);
         truth.dsm = None;
         truth.classes = None;
         truth.relit = None;

@@ -141,10 +141,8 @@ impl Values {
                 // in every index.
                 Quantity::Radiance => gain.to_reflectance(elevation_rad.unwrap_or(FRAC_PI_2), light.distance_au())?,
             };
-            Some(BandReflectance {
-                scale: (gain.scale * counts_per_unit) as f32,
-                offset: gain.offset as f32,
-            })
+            let (scale, offset) = ((gain.scale * counts_per_unit) as f32, gain.offset as f32);
+            Some(BandReflectance { scale, offset })
         };
         let mut reflectance: Vec<_> = gains.iter().map(reflectance).collect();
         let mut pairs = gains.iter().zip(&reflectance);

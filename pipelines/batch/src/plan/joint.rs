@@ -121,11 +121,8 @@ impl Combination<'_> {
             // In the worst case each image has its own date, with a raster of shadows.
             false => (survey.bands as f64, (4 + survey.bands + images) as f64),
         };
-        Cost {
-            bands,
-            rasters,
-            sun: f64::from(u8::from(self.products.sun_hours.is_some())),
-        }
+        let sun = f64::from(u8::from(self.products.sun_hours.is_some()));
+        Cost { bands, rasters, sun }
     }
 
     fn joint_unit(&self, id: String, after: &[&Unit], cost: (f64, f64), work: Work) -> Unit {

@@ -132,10 +132,8 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
         "nadir" => images.first(),
         name => images.iter().find(|image| image.name.trim_start_matches("./") == name),
     };
-    let image = image.ok_or_else(|| {
-        let some = images.first().map_or("none", |image| image.name.as_str());
-        fault(&format!("{folder} has no image of that name; one is {some}"))
-    })?;
+    let some = images.first().map_or("none", |image| image.name.as_str());
+    let image = image.ok_or_else(|| fault(&format!("{folder} has no image of that name; one is {some}")))?;
     let seen = model.relit(image, &lights);
     let seen = seen.ok_or_else(|| fault("the object lies behind that camera"))?;
     // Lights add up in linear values, even if the images of the capture are display values.

@@ -110,16 +110,15 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
             (surface, gsd_m, None)
         }
         DsmSource::Sweep if args.date.is_some() => {
-            return Err(CliError::Input(
-                "dsm: --date is of a trained run, not of --from sweep".into(),
-            ));
+            let text = "dsm: --date is of a trained run, not of --from sweep";
+            return Err(CliError::Input(text.into()));
         }
         DsmSource::Sweep => {
             timeline::take();
             match sweep_dsm::sweep(args, (crs, geoid), session)? {
                 SweptSurface::Whole(surface, gsd_m, said) => (*surface, gsd_m, Some(said)),
                 SweptSurface::InTiles(mut outcome) => {
-                    outcome.json["timeline"] = stages();
+                    outcome.json["timeline"] = json!(timeline::take());
                     return Ok(outcome);
                 }
             }
@@ -148,7 +147,7 @@ pub(crate) fn dsm(args: &DsmArgs, session: &Session) -> Result<Outcome, CliError
         said["tiles"] = json!(1);
         said["memory"] = memory;
         said["warnings"] = json!(warnings);
-        said["timeline"] = stages();
+        said["timeline"] = json!(timeline::take());
     }
     let mut text = facts.in_words(&args.out);
     if args.fill {
@@ -174,9 +173,6 @@ fn surface_of_run(args: &DsmArgs, crs: Option<&str>) -> Result<(Dsm, f64), CliEr
 }
 
 /// Timeline of this command, as JSON.
-fn stages() -> Value {
-    serde_json::to_value(timeline::take()).unwrap_or_default()
-}
 
 /// Writes the scene of a run under another sun, and its shadow mask.
 ///

@@ -46,7 +46,8 @@ pub(super) fn sweep(
     let survey = Survey::of(&index, &options)?;
     drop(part);
     Inputs::of_index(&index).keep_surface(&args.out)?;
-    let limit = args.memory.or_else(share_of_memory);
+    let share = |bytes: u64| (bytes as f64 * SHARE_OF_MEMORY) as u64;
+    let limit = args.memory.or_else(|| memory::machine_bytes().map(share));
     let map = MapRequest { gsd_m: args.gsd, crs };
     let plan = SweepPlan::of(&survey, &config, &map, limit)?;
     if plan.tiling.is_some() {
@@ -59,10 +60,6 @@ pub(super) fn sweep(
     let surface = dsm::of_surface(&(&scene).into(), &found, gsd_m, crs)?;
     let said = (memory_of(limit, &plan), scene.warnings);
     Ok(SweptSurface::Whole(Box::new(surface), gsd_m, said))
-}
-
-fn share_of_memory() -> Option<u64> {
-    memory::machine_bytes().map(|bytes| (bytes as f64 * SHARE_OF_MEMORY) as u64)
 }
 
 fn memory_of(limit: Option<u64>, plan: &SweepPlan) -> Value {

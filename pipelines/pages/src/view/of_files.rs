@@ -57,9 +57,8 @@ pub(super) fn albedo_on(path: &Path, grid: &GridSpec) -> Result<Raster, ViewErro
     let kinds: Vec<BandKind> = file.band_names.iter().map(|name| kind(name)).collect();
     let mut three = Raster::filled(grid.width, grid.height, 3, f32::NAN);
     for (place, band) in shown(&kinds).into_iter().enumerate() {
-        three
-            .plane_mut(place)
-            .copy_from_slice(&on_grid(&file, band, grid)?.values);
+        let values = on_grid(&file, band, grid)?.values;
+        three.plane_mut(place).copy_from_slice(&values);
     }
     Ok(three)
 }

@@ -58,11 +58,8 @@ impl Display {
     /// Display stretch between two quantiles of the values of these bands.
     fn of_values(bands: [usize; 3], values: &[f32], quantiles: (f64, f64)) -> Self {
         let (black, white) = percentiles(values, quantiles.0, quantiles.1).unwrap_or((0.0, 1.0));
-        Self {
-            bands,
-            black,
-            white: white.max(black + f32::MIN_POSITIVE.max(1e-6 * black.abs())),
-        }
+        let white = white.max(black + f32::MIN_POSITIVE.max(1e-6 * black.abs()));
+        Self { bands, black, white }
     }
 
     /// Display value (sRGB) of a value, 0 to 1.

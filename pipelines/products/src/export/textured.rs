@@ -81,11 +81,8 @@ impl TexturedGround {
             let [east, north, up] = enu.enu((i % width) as f64, (i / width) as f64, f64::from(altitude[i]));
             Vec3::new(east as f32, north as f32, up as f32)
         };
-        let display = Display {
-            bands: shown(bands),
-            black: 0.0,
-            white,
-        };
+        let (bands, black) = (shown(bands), 0.0);
+        let display = Display { bands, black, white };
         Self {
             width,
             height,
@@ -209,13 +206,14 @@ impl TexturedGround {
                 let height = |i: usize| place(corners[i][0], corners[i][1]).z;
                 match known.iter().filter(|known| **known).count() {
                     // Along the diagonal whose ends are nearer in height, so that edges are not notched.
-                    4 if (height(0) - height(2)).abs() <= (height(1) - height(3)).abs() => {
-                        faces.push([corners[0], corners[1], corners[2]]);
-                        faces.push([corners[0], corners[2], corners[3]]);
-                    }
                     4 => {
-                        faces.push([corners[0], corners[1], corners[3]]);
-                        faces.push([corners[1], corners[2], corners[3]]);
+                        let is_first = (height(0) - height(2)).abs() <= (height(1) - height(3)).abs();
+                        let halves = if is_first {
+                            [[0, 1, 2], [0, 2, 3]]
+                        } else {
+                            [[0, 1, 3], [1, 2, 3]]
+                        };
+                        faces.extend(halves.map(|half| half.map(|i| corners[i])));
                     }
                     3 => {
                         let unknown = known.iter().position(|known| !known).unwrap_or(0);

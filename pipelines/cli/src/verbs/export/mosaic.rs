@@ -7,28 +7,14 @@ use heliosplat_products::dsm::Dsm;
 use heliosplat_products::export::{Mosaic, MosaicTile};
 use heliosplat_raster::{GeoRaster, RasterFile, bounded};
 use serde::Deserialize;
+use serde_json::Value;
 use std::path::Path;
 
-/// Tiles and products in `mosaic.json`.
-#[derive(Deserialize)]
-struct MosaicFile {
-    pieces: Vec<Piece>,
-    #[serde(default)]
-    blocks: Vec<String>,
-    #[serde(default)]
-    products: Products,
-}
-
+/// Tile in `mosaic.json`.
 #[derive(Deserialize)]
 struct Piece {
     unit: String,
     core: [[isize; 2]; 2],
-}
-
-#[derive(Default, Deserialize)]
-struct Products {
-    #[serde(default)]
-    albedo_gains: Vec<Vec<f64>>,
 }
 
 /// Reads the mosaic in a folder, and finds the runs of its tiles beside it.
@@ -39,9 +25,11 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
     let fault = |reason: &str| CliError::Input(format!("{}: {reason}", folder.display()));
     let path = folder.join(MOSAIC_FILE);
     let text = bounded::read_text(&path).map_err(|error| fault(&format!("{MOSAIC_FILE} cannot be read ({error})")))?;
-    let told: MosaicFile =
-        serde_json::from_str(&text).map_err(|error| fault(&format!("{MOSAIC_FILE} is damaged ({error})")))?;
-    if let Some(block) = told.blocks.first() {
+    let damaged = |error: serde_json::Error| fault(&format!("{MOSAIC_FILE} is damaged ({error})"));
+    let told: Value = serde_json::from_str(&text).map_err(damaged)?;
+    let pieces = Vec::<Piece>::deserialize(&told["pieces"]).map_err(damaged)?;
+    let gains = Option::<Vec<Vec<f64>>>::deserialize(&told["products"]["albedo_gains"]).map_err(damaged)?;
+    if let Some(block) = told["blocks"][0].as_str() {
         let text = format!("the mosaic consists of blocks; name the folder of one, such as ../{block}");
         return Err(fault(&text));
     }
@@ -64,17 +52,15 @@ pub(super) fn open(folder: &Path) -> Result<Mosaic, CliError> {
     if (albedo.width, albedo.height) != (dsm.grid.width, dsm.grid.height) {
         return Err(fault("albedo.tif is not on the grid of dsm.tif"));
     }
-    let mut gains = told.products.albedo_gains.into_iter();
+    let mut gains = gains.into_iter().flatten();
     let mut tiles = Vec::new();
-    for piece in told.pieces {
+    for piece in pieces {
         // A plain name only: a damaged file must not lead to other folders.
         let name = piece.unit.rsplit('/').next().filter(|name| !name.starts_with('.'));
         let name = name.ok_or_else(|| fault("a tile has no name"))?;
-        tiles.push(MosaicTile {
-            run: folder.join("..").join(name).join(RUN),
-            core: piece.core,
-            gains: gains.next().unwrap_or_default(),
-        });
+        let run = folder.join("..").join(name).join(RUN);
+        let (core, gains) = (piece.core, gains.next().unwrap_or_default());
+        tiles.push(MosaicTile { run, core, gains });
     }
     Ok(Mosaic::new(folder, dsm, albedo, tiles, None)?)
 }
