@@ -25,7 +25,7 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// What a verb says of its results.
+    /// Results of a verb, as text and as JSON.
     pub fn new(text: impl Into<String>, json: serde_json::Value) -> Self {
         let text = text.into();
         Self { json, text }

@@ -166,8 +166,6 @@ fn leaf_depths(input: &SurfaceGaussians, is_leaf: &[bool], nadir: &ProjectiveCam
     seen.median_depth
 }
 
-/// Depths along the rays of one place of each cell, metres; NaN where the coverage is low.
-
 /// Depths of upward faces at each of the sampled places of the cells.
 fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveCamera) -> Vec<Maps> {
     let facing = facing_up(input.gaussians, is_leaf);

@@ -172,8 +172,6 @@ fn surface_of_run(args: &DsmArgs, crs: Option<&str>) -> Result<(Dsm, f64), CliEr
     Ok((dsm::dsm(&model, gsd_m, crs)?, gsd_m))
 }
 
-/// Timeline of this command, as JSON.
-
 /// Writes the scene of a run under another sun, and its shadow mask.
 ///
 /// # Errors
