@@ -69,11 +69,20 @@ pub struct StepReport {
     pub rejected: Option<Fault>,
 }
 
-/// Options that may change while a training runs.
-#[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
-struct TrainerOptionsState {
-    iterations: usize,
-    density_cap: usize,
+/// What the steps of a training change, and its views, options and random order do not determine.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+struct Progress {
+    parameters: Parameters,
+    gaussians_adam: Adam,
+    globals_adam: Adam,
+    statistics: DensityStatistics,
+    cached_visibility: Vec<Option<CachedVisibility>>,
+    /// Neighbours of the Gaussians when their number last changed; the current positions do not determine them.
+    neighbours: Option<Neighbours>,
+    step: usize,
+    rejected: usize,
+    rejected_in_a_row: usize,
+    unseen_in_a_row: usize,
 }
 
 /// A model in training.
@@ -84,27 +93,16 @@ pub struct Trainer<'a> {
     options: TrainOptions,
     nadir: Option<ProjectiveCamera>,
     bounds: (Vec3, Vec3),
-    /// The trained parameters.
-    pub parameters: Parameters,
+    now: Progress,
     /// Learning rates of the model's groups, in the order of the tables; those of the core groups are options.
     feature_rates: Vec<LearningRate>,
     global_rates: Vec<LearningRate>,
-    gaussians_adam: Adam,
-    globals_adam: Adam,
-    statistics: DensityStatistics,
     holdout: Holdout,
     pyramid: Pyramid,
     gradients: Parameters,
     occluders: Option<Occluders>,
     occluders_step: usize,
-    cached_visibility: Vec<Option<CachedVisibility>>,
-    /// Neighbours of the Gaussians when their number last changed.
-    neighbours: Option<Neighbours>,
     order: Vec<usize>,
-    step: usize,
-    rejected: usize,
-    rejected_in_a_row: usize,
-    unseen_in_a_row: usize,
 }
 
 impl<'a> Trainer<'a> {
@@ -138,27 +136,29 @@ impl<'a> Trainer<'a> {
         Ok(Self {
             feature_rates: rates(features),
             global_rates: rates(globals),
-            gaussians_adam: Adam::new(&parameters.gaussians),
-            globals_adam: Adam::new(&parameters.globals),
-            statistics: DensityStatistics::new(parameters.gaussians.count),
             pyramid: Pyramid::new(&views, &options),
             holdout,
             gradients: parameters.zeros_like(),
             occluders: None,
             occluders_step: 0,
-            cached_visibility: vec![None; views.len()],
-            neighbours: None,
             order: Vec::new(),
-            step: 0,
-            rejected: 0,
-            rejected_in_a_row: 0,
-            unseen_in_a_row: 0,
+            now: Progress {
+                gaussians_adam: Adam::new(&parameters.gaussians),
+                globals_adam: Adam::new(&parameters.globals),
+                statistics: DensityStatistics::new(parameters.gaussians.count),
+                cached_visibility: vec![None; views.len()],
+                neighbours: None,
+                step: 0,
+                rejected: 0,
+                rejected_in_a_row: 0,
+                unseen_in_a_row: 0,
+                parameters,
+            },
             model,
             views,
             options,
             nadir,
             bounds,
-            parameters,
         })
     }
 
@@ -173,14 +173,19 @@ impl<'a> Trainer<'a> {
         self.views.len()
     }
 
+    /// The trained parameters.
+    pub fn parameters(&self) -> &Parameters {
+        &self.now.parameters
+    }
+
     /// Number of steps done.
     pub fn steps(&self) -> usize {
-        self.step
+        self.now.step
     }
 
     /// Number of steps rejected because of a number that is not finite.
     pub fn rejected(&self) -> usize {
-        self.rejected
+        self.now.rejected
     }
 
     /// Mean absolute difference on the held-out tiles, from the latest visit of each view; `None` where none are held
@@ -191,7 +196,7 @@ impl<'a> Trainer<'a> {
 
     /// True if all steps are done, or the held-out tiles stopped improving.
     pub fn finished(&self) -> bool {
-        self.step >= self.options.iterations || self.holdout.stop()
+        self.now.step >= self.options.iterations || self.holdout.stop()
     }
 
     /// The final state: the best on held-out tiles when early stopping is on and has one, else the last.
@@ -202,19 +207,20 @@ impl<'a> Trainer<'a> {
 
     /// The best parameters and the training views; held-out pixels of the views have weight zero.
     pub fn into_best_and_views(self) -> (Parameters, EarlyStop, Vec<View>) {
-        let summary = self.holdout.summary(self.step);
-        (self.holdout.into_best().unwrap_or(self.parameters), summary, self.views)
+        let summary = self.holdout.summary(self.now.step);
+        let best = self.holdout.into_best().unwrap_or(self.now.parameters);
+        (best, summary, self.views)
     }
 
     fn fraction(&self) -> f32 {
-        self.step as f32 / self.options.iterations.max(1) as f32
+        self.now.step as f32 / self.options.iterations.max(1) as f32
     }
 
     /// Views come in a new random order every epoch; the order depends on the seed and the epoch alone.
     fn next_view(&mut self) -> usize {
-        let place = self.step % self.views.len();
+        let place = self.now.step % self.views.len();
         if place == 0 || self.order.len() != self.views.len() {
-            let epoch = (self.step / self.views.len()) as u64;
+            let epoch = (self.now.step / self.views.len()) as u64;
             self.order = (0..self.views.len()).collect();
             self.order.shuffle(&mut Pcg32::seed_from_u64(
                 self.options.seed.wrapping_mul(1_000_003) ^ epoch,
@@ -225,7 +231,7 @@ impl<'a> Trainer<'a> {
 
     /// True if this step traces light: for its view, or for shadow consistency.
     fn light_is_due(&self, index: usize) -> bool {
-        let cached = self.cached_visibility[index]
+        let cached = self.now.cached_visibility[index]
             .as_ref()
             .is_some_and(|cached| cached.is_fresh(self.options.light_every));
         (!cached && self.views[index].light.is_some()) || self.consistency_is_due()
@@ -235,14 +241,14 @@ impl<'a> Trainer<'a> {
     fn occluder_gradients(&self) -> OccluderGradients {
         match self.options.occluder_gradients {
             true => OccluderGradients::Sampled {
-                seed: self.options.seed.wrapping_mul(1_000_003) ^ self.step as u64,
+                seed: self.options.seed.wrapping_mul(1_000_003) ^ self.now.step as u64,
             },
             false => OccluderGradients::None,
         }
     }
 
     fn consistency_is_due(&self) -> bool {
-        self.options.consistency_weight > 0.0 && self.step.is_multiple_of(self.options.consistency_every.max(1))
+        self.options.consistency_weight > 0.0 && self.now.step.is_multiple_of(self.options.consistency_every.max(1))
     }
 
     /// Occluders are always those of the current step. A hierarchy over them, where one is used, is expensive to build:
@@ -252,16 +258,17 @@ impl<'a> Trainer<'a> {
         if !self.model.needs_transmittance() {
             return;
         }
-        let gaussians = &self.parameters.gaussians;
-        let fresh = self.step < self.occluders_step + HIERARCHY_EVERY;
+        let gaussians = &self.now.parameters.gaussians;
+        let fresh = self.now.step < self.occluders_step + HIERARCHY_EVERY;
         match &mut self.occluders {
             Some(occluders) if fresh && occluders.list.len() == gaussians.count => occluders.renew(gaussians),
             occluders => {
                 *occluders = Some(Occluders::tracing_by(self.options.sun_visibility, gaussians));
-                self.occluders_step = self.step;
+                self.occluders_step = self.now.step;
             }
         }
-        let present = self.model.present(&self.parameters, Some(self.views[view].appearance));
+        let appearance = Some(self.views[view].appearance);
+        let present = self.model.present(&self.now.parameters, appearance);
         if let (Some(occluders), Some(present)) = (&mut self.occluders, present) {
             occluders.hide(&present);
         }
@@ -281,7 +288,7 @@ impl<'a> Trainer<'a> {
             self.refresh_occluders(index);
         }
         let part = stage("clear");
-        self.gradients.gaussians.reset(self.parameters.gaussians.count);
+        self.gradients.gaussians.reset(self.now.parameters.gaussians.count);
         self.gradients.globals.reset(1);
         drop(part);
         let mut report = self.descend_view(index);
@@ -295,30 +302,29 @@ impl<'a> Trainer<'a> {
             let _part = stage("smoothness");
             report.losses.push(("smoothness", self.descend_smoothness(index)));
         }
-        self.step += 1;
-        report.step = self.step;
+        self.now.step += 1;
+        report.step = self.now.step;
         let part = stage("check");
         report.rejected = fault::of_step(&report.losses, &self.gradients);
         drop(part);
         match &report.rejected {
             None => {
-                self.rejected_in_a_row = 0;
+                self.now.rejected_in_a_row = 0;
                 let _part = stage("update");
                 self.update();
                 self.control_density();
             }
             Some(fault) => self.reject(fault, index)?,
         }
-        self.unseen_in_a_row = if report.pairs == 0 { self.unseen_in_a_row + 1 } else { 0 };
-        if self.unseen_in_a_row >= REJECTED_LIMIT.max(self.views.len()) {
-            return Err(TrainError::NothingSeen {
-                steps: self.unseen_in_a_row,
-            });
+        let (views, unseen) = (self.views.len(), &mut self.now.unseen_in_a_row);
+        *unseen = if report.pairs == 0 { *unseen + 1 } else { 0 };
+        if *unseen >= REJECTED_LIMIT.max(views) {
+            return Err(TrainError::NothingSeen { steps: *unseen });
         }
         let part = stage("hold out");
-        self.holdout.epoch_done(self.step, self.views.len(), &self.parameters);
+        self.holdout.epoch_done(report.step, views, &self.now.parameters);
         drop(part);
-        report.gaussians = self.parameters.gaussians.count;
+        report.gaussians = self.now.parameters.gaussians.count;
         if report.gaussians == 0 {
             return Err(TrainError::Empty);
         }
@@ -327,17 +333,17 @@ impl<'a> Trainer<'a> {
 
     /// Counts a rejected step, which must change nothing.
     fn reject(&mut self, fault: &Fault, view: usize) -> Result<(), TrainError> {
-        self.rejected += 1;
-        self.rejected_in_a_row += 1;
+        self.now.rejected += 1;
+        self.now.rejected_in_a_row += 1;
         // The cached visibility of a rejected step may be unsound.
-        self.cached_visibility[view] = None;
+        self.now.cached_visibility[view] = None;
         let name = &self.views[view].name;
-        tracing::warn!(step = self.step, view = %name, "step rejected: {fault}");
-        if self.rejected_in_a_row < REJECTED_LIMIT {
+        tracing::warn!(step = self.now.step, view = %name, "step rejected: {fault}");
+        if self.now.rejected_in_a_row < REJECTED_LIMIT {
             return Ok(());
         }
         Err(TrainError::NotFinite {
-            rejected: self.rejected_in_a_row,
+            rejected: self.now.rejected_in_a_row,
             fault: fault.clone(),
             view: name.clone(),
         })
@@ -350,7 +356,7 @@ impl<'a> Trainer<'a> {
         drop(part);
         let options = &self.options;
         let context = Context {
-            parameters: &self.parameters,
+            parameters: &self.now.parameters,
             camera: &view.camera,
             light: view.light,
             appearance: Some(view.appearance),
@@ -361,7 +367,7 @@ impl<'a> Trainer<'a> {
             normals: false,
             depths: Depths::Mean,
         };
-        let before = self.cached_visibility[index].take();
+        let before = self.now.cached_visibility[index].take();
         let cached = before.as_ref().filter(|before| before.is_fresh(options.light_every));
         let kept = before
             .as_ref()
@@ -401,21 +407,21 @@ impl<'a> Trainer<'a> {
         drop(part);
         let behind = pass.backward(d_maps, &mut self.gradients);
         let _part = stage("statistics");
-        self.statistics.add(
+        self.now.statistics.add(
             &behind.projected,
             &behind.splats,
             view.camera.width * view.camera.height,
         );
         let traced = cached.is_none().then(|| {
-            let splats = (behind.projected.gaussian.as_slice(), self.parameters.gaussians.count);
+            let count = self.now.parameters.gaussians.count;
             CachedVisibility::traced(
-                splats,
+                (&behind.projected.gaussian, count),
                 &behind.transmittances,
                 &behind.d_transmittances,
                 before.as_ref(),
             )
         });
-        self.cached_visibility[index] = traced.or_else(|| before.map(CachedVisibility::used));
+        self.now.cached_visibility[index] = traced.or_else(|| before.map(CachedVisibility::used));
         if full_size {
             self.holdout.record(index, held_out);
         }
@@ -430,16 +436,17 @@ impl<'a> Trainer<'a> {
 
     /// Shadow consistency: in turn for the step's own view and, where there is one, from the zenith.
     fn descend_consistency(&mut self, index: usize) -> f64 {
-        let turn = self.step / self.options.consistency_every.max(1);
+        let turn = self.now.step / self.options.consistency_every.max(1);
         let camera = match &self.nadir {
             Some(nadir) if turn % 2 == 1 => nadir,
             _ => &self.views[index].camera,
         };
         let Some(occluders) = &self.occluders else { return 0.0 };
-        let gaussians = &self.parameters.gaussians;
+        let gaussians = &self.now.parameters.gaussians;
         let projection = ProjectionOptions::default();
         let mut projected = project(gaussians, camera, &projection);
-        if let Some(present) = self.model.present(&self.parameters, Some(self.views[index].appearance)) {
+        let appearance = Some(self.views[index].appearance);
+        if let Some(present) = self.model.present(&self.now.parameters, appearance) {
             projected.keep(&present);
         }
         let pass = ConsistencyPass {
@@ -455,11 +462,12 @@ impl<'a> Trainer<'a> {
 
     /// Smoothness of the model's first feature, in the units of a mean over the pixels of the step's view.
     fn descend_smoothness(&mut self, index: usize) -> f64 {
-        let gaussians = &self.parameters.gaussians;
+        let gaussians = &self.now.parameters.gaussians;
         let Some(feature) = gaussians.groups.get(FEATURES) else {
             return 0.0;
         };
         let neighbours = self
+            .now
             .neighbours
             .get_or_insert_with(|| Neighbours::new(gaussians, self.options.gsd_m));
         let camera = &self.views[index].camera;
@@ -484,43 +492,39 @@ impl<'a> Trainer<'a> {
         let feature_factor = rate_factor * exponential_decay(1.0, o.final_rate.max(0.1), f);
         rates.extend(self.feature_rates.iter().map(|rate| feature_factor * rate.at(f)));
         let beta1 = o.beta1();
-        self.gaussians_adam
-            .step_with(beta1, &mut self.parameters.gaussians, &self.gradients.gaussians, &rates);
+        let (now, gradients) = (&mut self.now, &self.gradients);
+        let Parameters { gaussians, globals } = &mut now.parameters;
+        now.gaussians_adam
+            .step_with(beta1, gaussians, &gradients.gaussians, &rates);
         let rates: Vec<f32> = self.global_rates.iter().map(|rate| rate.at(f)).collect();
-        self.globals_adam
-            .step_with(beta1, &mut self.parameters.globals, &self.gradients.globals, &rates);
+        now.globals_adam.step_with(beta1, globals, &gradients.globals, &rates);
         let (least, most) = ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln());
-        self.parameters
-            .gaussians
-            .group_mut(LOG_SCALE)
-            .par_iter_mut()
-            .for_each(|s| *s = s.clamp(least, most));
-        self.parameters
-            .gaussians
-            .group_mut(OPACITY)
-            .par_iter_mut()
-            .for_each(|s| *s = s.clamp(-12.0, 12.0));
+        let mut clamp = |group: usize, least: f32, most: f32| {
+            let values = gaussians.group_mut(group).par_iter_mut();
+            values.for_each(|value| *value = value.clamp(least, most));
+        };
+        clamp(LOG_SCALE, least, most);
+        clamp(OPACITY, -12.0, 12.0);
     }
 
     fn control_density(&mut self) {
-        let d = &self.options.density;
-        let due = d.every > 0 && self.step >= d.from && self.step.is_multiple_of(d.every);
-        if !due || self.step as f32 > UNTIL_FRACTION * self.options.iterations as f32 {
+        let (d, now, gsd_m) = (&self.options.density, &mut self.now, self.options.gsd_m);
+        let due = d.every > 0 && now.step >= d.from && now.step.is_multiple_of(d.every);
+        if !due || now.step as f32 > UNTIL_FRACTION * self.options.iterations as f32 {
             return;
         }
-        let seed = self.options.seed.wrapping_add(self.step as u64);
-        let rebuild = self
-            .statistics
-            .apply(&mut self.parameters.gaussians, d, self.options.gsd_m, self.bounds, seed);
-        self.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
+        let seed = self.options.seed.wrapping_add(now.step as u64);
+        let gaussians = &mut now.parameters.gaussians;
+        let rebuild = now.statistics.apply(gaussians, d, gsd_m, self.bounds, seed);
+        now.gaussians_adam.follow(&rebuild.sources, rebuild.fresh);
         self.occluders = None;
-        self.cached_visibility.fill(None);
-        self.neighbours = None;
+        now.cached_visibility.fill(None);
+        now.neighbours = None;
         tracing::debug!(
-            step = self.step,
-            gaussians = self.parameters.gaussians.count,
+            step = now.step,
+            gaussians = gaussians.count,
             pruned = rebuild.pruned,
-            added = self.parameters.gaussians.count - rebuild.fresh,
+            added = gaussians.count - rebuild.fresh,
             "density"
         );
     }

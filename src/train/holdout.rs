@@ -3,7 +3,6 @@
 use super::options::TrainOptions;
 use crate::model::{Parameters, View};
 use crate::raster::Raster;
-use std::borrow::Cow;
 
 /// Side of a held-out tile, pixels: several times the SSIM window, so that its inside is hardly affected by trained
 /// pixels.
@@ -22,35 +21,23 @@ pub struct EarlyStop {
     pub best_l1: Option<f64>,
 }
 
-/// Held-out pixels of all views, their latest losses, and the best state so far.
+/// Held-out pixels of all views, and the progress on them.
 pub(super) struct Holdout {
     held: Vec<Vec<u32>>,
-    losses: Vec<Option<f64>>,
-    best: Option<(usize, f64, Parameters)>,
-    epochs_without: usize,
     patience: usize,
-    keep_from: usize,
+    /// What training changes.
+    pub(super) now: Progress,
 }
 
-/// State of early stopping. The held-out tiles are not part of it: they follow from the seed.
+/// Progress on the held-out tiles. The tiles follow from the seed.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
-pub(super) struct HoldoutState<'a> {
-    losses: Cow<'a, [Option<f64>]>,
-    best: Option<(usize, f64, Cow<'a, Parameters>)>,
+pub(super) struct Progress {
+    /// Latest loss of each view.
+    pub(super) losses: Vec<Option<f64>>,
+    /// Step, loss and parameters of the best state so far; `None` before the first epoch that was compared.
+    pub(super) best: Option<(usize, f64, Parameters)>,
     epochs_without: usize,
     keep_from: usize,
-}
-
-impl HoldoutState<'_> {
-    /// Number of views.
-    pub(super) fn views(&self) -> usize {
-        self.losses.len()
-    }
-
-    /// Best parameters so far; `None` before the first epoch that was compared.
-    pub(super) fn parameters(&self) -> Option<&Parameters> {
-        self.best.as_ref().map(|(_, _, parameters)| &**parameters)
-    }
 }
 
 /// A pseudo-random number from 0 to 1 that depends only on seed and tile.
@@ -88,15 +75,15 @@ impl Holdout {
             }
             held.push(out);
         }
-        let losses = vec![None; views.len()];
-        let keep_from = options.iterations / 4;
         Self {
             held,
-            losses,
-            best: None,
-            epochs_without: 0,
             patience: options.patience,
-            keep_from,
+            now: Progress {
+                losses: vec![None; views.len()],
+                best: None,
+                epochs_without: 0,
+                keep_from: options.iterations / 4,
+            },
         }
     }
 
@@ -118,21 +105,21 @@ impl Holdout {
 
     /// Records the loss of a view; drops one that is not finite, which would pass for the best.
     pub(super) fn record(&mut self, view: usize, loss: Option<f64>) {
-        self.losses[view] = loss.filter(|loss| loss.is_finite());
+        self.now.losses[view] = loss.filter(|loss| loss.is_finite());
     }
 
     /// At the end of an epoch, keeps `parameters` if their held-out losses are the best so far; counts epochs without
     /// progress.
     pub(super) fn epoch_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
-        if self.patience == 0 || !step.is_multiple_of(views) || step < self.keep_from {
+        if self.patience == 0 || !step.is_multiple_of(views) || step < self.now.keep_from {
             return;
         }
         let Some(mean) = self.mean() else { return };
-        match &self.best {
-            Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.epochs_without += 1,
+        match &self.now.best {
+            Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.now.epochs_without += 1,
             _ => {
-                self.best = Some((step, mean, parameters.clone()));
-                self.epochs_without = 0;
+                self.now.best = Some((step, mean, parameters.clone()));
+                self.now.epochs_without = 0;
             }
         }
     }
@@ -141,7 +128,13 @@ impl Holdout {
     /// cannot be compared: training passes from half to full size within an epoch, and the first views may be easy
     /// ones.
     pub(super) fn mean(&self) -> Option<f64> {
-        let with_tiles = || self.losses.iter().zip(&self.held).filter(|(_, held)| !held.is_empty());
+        let with_tiles = || {
+            self.now
+                .losses
+                .iter()
+                .zip(&self.held)
+                .filter(|(_, held)| !held.is_empty())
+        };
         let losses: Option<Vec<f64>> = with_tiles().map(|(loss, _)| *loss).collect();
         let losses = losses.filter(|losses| !losses.is_empty())?;
         Some(losses.iter().sum::<f64>() / losses.len() as f64)
@@ -149,12 +142,12 @@ impl Holdout {
 
     /// True if training should stop: `patience` epochs have passed without progress.
     pub(super) fn stop(&self) -> bool {
-        self.patience > 0 && self.epochs_without >= self.patience
+        self.patience > 0 && self.now.epochs_without >= self.patience
     }
 
     /// Result of early stopping after `steps` steps.
     pub(super) fn summary(&self, steps: usize) -> EarlyStop {
-        match &self.best {
+        match &self.now.best {
             Some((step, loss, _)) => EarlyStop {
                 steps,
                 best_step: *step,
@@ -168,36 +161,9 @@ impl Holdout {
         }
     }
 
-    /// Latest loss of each view, for tests.
-    #[cfg(test)]
-    fn losses(&self) -> &[Option<f64>] {
-        &self.losses
-    }
-
-    /// State of early stopping, borrowed.
-    pub(super) fn state(&self) -> HoldoutState<'_> {
-        let best = self.best.as_ref();
-        HoldoutState {
-            losses: Cow::Borrowed(&self.losses),
-            best: best.map(|(step, loss, parameters)| (*step, *loss, Cow::Borrowed(parameters))),
-            epochs_without: self.epochs_without,
-            keep_from: self.keep_from,
-        }
-    }
-
-    /// Restores the state of early stopping.
-    pub(super) fn restore(&mut self, state: HoldoutState) {
-        self.losses = state.losses.into_owned();
-        self.best = state
-            .best
-            .map(|(step, loss, parameters)| (step, loss, parameters.into_owned()));
-        self.epochs_without = state.epochs_without;
-        self.keep_from = state.keep_from;
-    }
-
     /// Best parameters; `None` if no epoch was compared.
     pub(super) fn into_best(self) -> Option<Parameters> {
-        self.best.map(|(_, _, parameters)| parameters)
+        self.now.best.map(|(_, _, parameters)| parameters)
     }
 }
 
@@ -225,7 +191,7 @@ mod tests {
         let mut holdout = Holdout::new(&mut views(200), &TrainOptions::default());
         holdout.record(0, Some(0.25));
         holdout.record(0, Some(f64::NAN));
-        assert_eq!(holdout.losses(), [None]);
+        assert_eq!(holdout.now.losses, [None]);
         holdout.epoch_done(1000, 1, &Parameters::default());
         assert_eq!(holdout.summary(1000).best_l1, None);
     }

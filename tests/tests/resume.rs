@@ -90,7 +90,7 @@ fn a_trainer_that_takes_up_a_state_goes_on_as_the_one_that_left_it() {
             }
             whole.step().expect("a sound step");
         }
-        let grown = whole.parameters.gaussians.count;
+        let grown = whole.parameters().gaussians.count;
         let whole = whole.into_best();
         assert!(grown > 900, "{grown}");
         for bytes in &kept {
@@ -113,7 +113,7 @@ fn trainings_that_trace_the_sun_by_plane_and_by_hierarchy_stay_together() {
     let trained = |by: SunVisibility| {
         let mut trainer = trainer(&site, site.sun, by);
         let losses: Vec<f64> = (0..10).map(|_| trainer.step().expect("a sound step").l1).collect();
-        (losses, trainer.parameters)
+        (losses, trainer.parameters().clone())
     };
     let [(plane_losses, plane), (bvh_losses, bvh)] = [SunVisibility::Plane, SunVisibility::Bvh].map(trained);
     assert!(plane != bvh, "the setting reaches the trace");
@@ -143,7 +143,7 @@ fn a_state_of_another_training_is_refused_and_changes_nothing() {
     .expect("can begin");
     let error = second.restore(state).expect_err("it has three views");
     assert!(error.to_string().contains("views"), "{error}");
-    assert!(second.steps() == 0 && second.parameters == parameters);
+    assert!(second.steps() == 0 && second.parameters() == &parameters);
 }
 
 /// A tiny scene, and the run that nothing interrupts.

@@ -130,7 +130,7 @@ pub fn train<P: Clone + Serialize>(
             let probe = probe.filter(|_| report.step % probe_every == 0);
             log.curve.push(CurvePoint {
                 held_out_l1: trainer.held_out_l1(),
-                accuracy: probe.and_then(|probe| probe(&trainer.parameters)),
+                accuracy: probe.and_then(|probe| probe(trainer.parameters())),
                 ..point(&report, l1)
             });
         }
