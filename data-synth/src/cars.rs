@@ -49,11 +49,7 @@ impl CarSlot {
             half: [2.0 + 0.4 * long, 0.86 + 0.08 * long],
         };
         let paint = PAINTS[(draw(6) * PAINTS.len() as f64) as usize % PAINTS.len()];
-        let finish = |colour: Spectrum| Finish {
-            class: Class::Car,
-            material: Material::Plain(colour),
-            seed: 0,
-        };
+        let finish = |colour: Spectrum| Finish::new(Class::Car, Material::Plain(colour), 0);
         let body = finish(Spectrum::from(paint));
         let glass = finish(Spectrum::new(0.045, 0.05, 0.055, 0.05));
         let ground_z = height_at(plan.x, plan.y);

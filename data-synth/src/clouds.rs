@@ -355,14 +355,8 @@ mod tests {
         for index in 0..160 * 160 {
             let place = |index: i32| f64::from(index) * 4.0 - 320.0;
             let point = Vector3::new(place(index % 160), place(index / 160), 0.0);
-            let ray = Ray {
-                origin: point - sight * 50.0,
-                direction: sight,
-            };
-            let to_sun = Ray {
-                origin: point,
-                direction: clear.to_sun,
-            };
+            let ray = Ray::new(point - sight * 50.0, sight);
+            let to_sun = Ray::new(point, clear.to_sun);
             let (before, after) = (clear.sample(&scene, &ray, 7), cloudy.sample(&scene, &ray, 7));
             let (veil, shade) = (field.opacity_along(&ray), field.opacity_along(&to_sun));
             assert!(before.lit && before.clouded == 0.0);

@@ -45,7 +45,7 @@ pub(crate) fn lobe_of(surface: &Face, hit: &Hit) -> Option<Lobe> {
             ..coated(0.08)
         });
     }
-    match surface.material {
+    match surface.finish.material {
         Material::Metal(mean) => Some(Lobe {
             f0: (mean * 1.5).map(|value| value.min(0.9)),
             alpha: 0.28,
@@ -53,7 +53,7 @@ pub(crate) fn lobe_of(surface: &Face, hit: &Hit) -> Option<Lobe> {
             normal: hit.normal,
         }),
         Material::Membrane(_) => Some(coated(0.3)),
-        Material::Plain(_) if surface.class == Class::Car => Some(coated(0.12)),
+        Material::Plain(_) if surface.finish.class == Class::Car => Some(coated(0.12)),
         _ => None,
     }
 }

@@ -75,10 +75,7 @@ impl LookAtCamera {
     fn ray(&self, col: f64, row: f64) -> Ray {
         let half = 0.5 * self.size_px as f64;
         let aside = self.right * (col - half) - self.up * (row - half);
-        Ray {
-            origin: self.eye,
-            direction: (aside - self.backward * self.focal_px).normalize(),
-        }
+        Ray::new(self.eye, (aside - self.backward * self.focal_px).normalize())
     }
 
     fn matrix(&self) -> Vec<[f64; 4]> {

@@ -255,10 +255,7 @@ impl Illumination {
 
     /// Share of the sun's beam that reaches a point whose normal has the cosine `facing` with it.
     fn beam(&self, scene: &LitScene, start: Vector3<f64>, facing: f64) -> f64 {
-        let to_sun = Ray {
-            origin: start,
-            direction: self.to_sun,
-        };
+        let to_sun = Ray::new(start, self.to_sun);
         let faces_sun = facing > 0.0 && !scene.tracer.occluded(&to_sun, f64::INFINITY);
         match &self.clouds {
             _ if !faces_sun => 0.0,
@@ -292,10 +289,7 @@ impl Illumination {
 
     /// Irradiance of an open sky if a direction is open, else of the average neighbourhood.
     fn sky_or_around(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>) -> Spectrum {
-        let ray = Ray {
-            origin: start,
-            direction,
-        };
+        let ray = Ray::new(start, direction);
         let open = direction.z >= 0.01 && !scene.tracer.occluded(&ray, SKY_REACH_M);
         if open { self.sky } else { self.around }
     }
@@ -306,10 +300,7 @@ impl Illumination {
         if !self.bounce {
             return self.sky_or_around(scene, start, direction);
         }
-        let ray = Ray {
-            origin: start,
-            direction,
-        };
+        let ray = Ray::new(start, direction);
         let Some(hit) = scene.tracer.trace(&ray) else {
             return if direction.z > 0.0 { self.sky } else { self.around };
         };
@@ -389,7 +380,7 @@ impl LitScene<'_> {
             self.ground.albedo(hit.point.x, hit.point.y, season)
         } else {
             let surface = &self.surfaces[hit.surface as usize];
-            (surface.class, surface.albedo(hit.point, season))
+            (surface.finish.class, surface.albedo(hit.point, season))
         };
         (class, self.ground.snow_on(hit, class).unwrap_or(albedo))
     }
@@ -400,7 +391,7 @@ impl LitScene<'_> {
             return None;
         }
         let surface = &self.surfaces[hit.surface as usize];
-        let bare = self.ground.snow_on(hit, surface.class).is_none();
+        let bare = self.ground.snow_on(hit, surface.finish.class).is_none();
         if bare { gloss::lobe_of(surface, hit) } else { None }
     }
 
@@ -409,7 +400,7 @@ impl LitScene<'_> {
         if hit.surface == GROUND {
             self.ground.class_at(hit.point.x, hit.point.y)
         } else {
-            self.surfaces[hit.surface as usize].class
+            self.surfaces[hit.surface as usize].finish.class
         }
     }
 }
@@ -463,11 +454,7 @@ mod tests {
     /// Flat ground and a wide sunlit wall that stands `distance_m` east of the origin, of a material.
     fn beside_a_wall(distance_m: f64, material: Material, look: impl Fn(&LitScene)) {
         let terrain = HeightField::sample(150.0, 2.0, |_, _| 0.0);
-        let finish = Finish {
-            class: Class::Building,
-            material,
-            seed: 1,
-        };
+        let finish = Finish::new(Class::Building, material, 1);
         let mut solids = Solids::default();
         let wall = Footprint {
             x: distance_m + 1.0,
@@ -520,10 +507,7 @@ mod tests {
         let light = light(55.0, 0.1).among(&faults);
         beside_a_wall(2.0, Material::Metal(crate::materials::grey(0.4)), |scene| {
             let seen = |point: Vector3<f64>, direction: Vector3<f64>| {
-                let ray = Ray {
-                    origin: point - direction * 40.0,
-                    direction,
-                };
+                let ray = Ray::new(point - direction * 40.0, direction);
                 let mean: f64 = (0..400)
                     .map(|k| light.sample(scene, &ray, hash2(3, k)).radiance.x)
                     .sum();

@@ -66,10 +66,7 @@ impl RationalSensor {
             upper.lerp(&node(0, 1).lerp(&node(1, 1), fc), fr)
         };
         let (high, low) = (between(0), between(1));
-        Ray {
-            origin: high,
-            direction: (low - high).normalize(),
-        }
+        Ray::new(high, (low - high).normalize())
     }
 }
 

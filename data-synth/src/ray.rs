@@ -13,6 +13,11 @@ pub(crate) struct Ray {
 }
 
 impl Ray {
+    /// A ray from `origin` along the unit vector `direction`.
+    pub(crate) fn new(origin: Vector3<f64>, direction: Vector3<f64>) -> Self {
+        Self { origin, direction }
+    }
+
     /// Point at the distance `t` from the start.
     pub(crate) fn at(&self, t: f64) -> Vector3<f64> {
         self.origin + self.direction * t

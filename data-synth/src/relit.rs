@@ -147,7 +147,7 @@ pub(crate) fn sun_hours(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) 
             };
             let origin = hit.point + hit.normal * SURFACE_BIAS_M;
             let lit = suns.iter().filter(|&&direction| {
-                hit.normal.dot(&direction) > 0.0 && !scene.tracer.occluded(&Ray { origin, direction }, f64::INFINITY)
+                hit.normal.dot(&direction) > 0.0 && !scene.tracer.occluded(&Ray::new(origin, direction), f64::INFINITY)
             });
             (lit.count() as f64 * step_hours) as f32
         })

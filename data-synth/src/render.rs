@@ -161,10 +161,7 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
 /// The ray with its start just above the scene: a start 600 km away would cost digits in every intersection.
 pub(crate) fn lowered(ray: &Ray, tracer: &Tracer) -> Ray {
     let t = (tracer.top_m() - ray.origin.z) / ray.direction.z;
-    Ray {
-        origin: ray.at(t),
-        direction: ray.direction,
-    }
+    Ray::new(ray.at(t), ray.direction)
 }
 
 fn finish_row(exposure: &Exposure, kernel: &[f32], row: usize, fine: &[FineRow], image: &mut Image) {
@@ -285,11 +282,7 @@ mod tests {
     }
 
     fn white(class: Class) -> Finish {
-        Finish {
-            class,
-            material: Material::Plain(grey(0.8)),
-            seed: 0,
-        }
+        Finish::new(class, Material::Plain(grey(0.8)), 0)
     }
 
     /// Column and row of the centroid of the pixels brighter than the background.

@@ -201,10 +201,10 @@ impl PushBroom {
     pub(crate) fn ray(&self, state: &LineState, sample: f64) -> Ray {
         let from_centre = sample - self.centre_px;
         let bent = from_centre + self.detector_bend_px * (from_centre / self.centre_px).powi(3);
-        Ray {
-            origin: state.position,
-            direction: (state.axes[2] + state.axes[0] * (bent * self.pixel_angle)).normalize(),
-        }
+        Ray::new(
+            state.position,
+            (state.axes[2] + state.axes[0] * (bent * self.pixel_angle)).normalize(),
+        )
     }
 
     /// (sample, line), pixels, at which a point of the scene is seen, by Newton's method on the moment of the line.

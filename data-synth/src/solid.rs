@@ -8,12 +8,8 @@ use nalgebra::Vector3;
 /// A surface: its class, its material, and the coordinates of its texture.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Face {
-    /// Class of the surface.
-    pub(crate) class: Class,
-    /// Material of the surface.
-    pub(crate) material: Material,
-    /// Random number of the surface.
-    pub(crate) seed: u32,
+    /// Class, material and random number of the surface.
+    pub(crate) finish: Finish,
     /// Origin of the texture, metres.
     pub(crate) origin: Vector3<f64>,
     /// Texture axis u, unit length on flat surfaces.
@@ -29,7 +25,7 @@ impl Face {
     pub(crate) fn albedo(&self, point: Vector3<f64>, season: &Season) -> Spectrum {
         let at = self.spot(point);
         let module = if self.panels { panels::albedo(at) } else { None };
-        module.unwrap_or_else(|| self.material.albedo(at, season))
+        module.unwrap_or_else(|| self.finish.material.albedo(at, season))
     }
 
     /// Texture coordinates of a point of the surface, metres.
@@ -38,7 +34,7 @@ impl Face {
         Spot {
             u: offset.dot(&self.along_u),
             v: offset.dot(&self.along_v),
-            seed: self.seed,
+            seed: self.finish.seed,
         }
     }
 }
@@ -52,6 +48,13 @@ pub(crate) struct Finish {
     pub(crate) material: Material,
     /// Random number of the part.
     pub(crate) seed: u32,
+}
+
+impl Finish {
+    /// The finish of a part.
+    pub(crate) fn new(class: Class, material: Material, seed: u32) -> Self {
+        Self { class, material, seed }
+    }
 }
 
 /// A horizontal rectangle.
@@ -124,9 +127,7 @@ impl Solids {
     ) -> SurfaceId {
         let along_u = edge.normalize();
         self.surfaces.push(Face {
-            class: finish.class,
-            material: finish.material,
-            seed: finish.seed,
+            finish,
             origin,
             along_u,
             along_v: normal.cross(&along_u),
@@ -159,8 +160,8 @@ impl Solids {
     pub(crate) fn lay_panels(&mut self) {
         for surface in &mut self.surfaces {
             let faces_up = surface.along_u.cross(&surface.along_v).z > 0.5;
-            let roof = surface.class == Class::Building && faces_up;
-            surface.panels = roof && panels::carried_by(&surface.material, surface.seed);
+            let roof = surface.finish.class == Class::Building && faces_up;
+            surface.panels = roof && panels::carried_by(&surface.finish.material, surface.finish.seed);
         }
     }
 
@@ -179,9 +180,7 @@ impl Solids {
     /// are textured too.
     pub(crate) fn foliage_surface(&mut self, origin: Vector3<f64>, finish: Finish) -> SurfaceId {
         self.surfaces.push(Face {
-            class: finish.class,
-            material: finish.material,
-            seed: finish.seed,
+            finish,
             origin,
             along_u: Vector3::new(1.0, 0.0, 0.8),
             along_v: Vector3::new(0.0, 1.0, -0.6),
@@ -200,11 +199,7 @@ mod tests {
     use crate::terrain::HeightField;
 
     fn plain(class: Class) -> Finish {
-        Finish {
-            class,
-            material: Material::Plain(grey(0.3)),
-            seed: 0,
-        }
+        Finish::new(class, Material::Plain(grey(0.3)), 0)
     }
 
     #[test]
@@ -227,10 +222,7 @@ mod tests {
         );
         let tracer = Tracer::new(&ground, solids.primitives);
         let down = |x: f64, y: f64| {
-            let ray = Ray {
-                origin: Vector3::new(x, y, 100.0),
-                direction: -Vector3::z(),
-            };
+            let ray = Ray::new(Vector3::new(x, y, 100.0), -Vector3::z());
             tracer.trace(&ray).map(|hit| hit.point.z)
         };
         for k in 0..2000 {
@@ -249,10 +241,7 @@ mod tests {
         let reach_m = height_m / elevation.tan();
         let lit = |beyond_m: f64| {
             let [x, y] = footprint.at(footprint.half[0] + beyond_m, 0.0);
-            let ray = Ray {
-                origin: Vector3::new(x, y, 1e-6),
-                direction: sun,
-            };
+            let ray = Ray::new(Vector3::new(x, y, 1e-6), sun);
             !tracer.occluded(&ray, f64::INFINITY)
         };
         assert!(!lit(reach_m - 0.001) && lit(reach_m + 0.001) && !lit(0.01));

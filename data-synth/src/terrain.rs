@@ -228,10 +228,7 @@ mod tests {
             let azimuth = f64::from(k) * 0.37;
             let target = Vector3::new(f64::from(k % 20) * 3.0 - 30.1, f64::from(k / 20) * 3.0 - 30.3, 0.0);
             let direction = Vector3::new(0.5 * azimuth.cos(), 0.5 * azimuth.sin(), -1.0).normalize();
-            let ray = Ray {
-                origin: target - direction * 500.0,
-                direction,
-            };
+            let ray = Ray::new(target - direction * 500.0, direction);
             let Some(hit) = tracer.trace(&ray) else {
                 panic!("ray {k} fell through the ground");
             };
@@ -251,10 +248,7 @@ mod tests {
         ] {
             let direction = Vector3::new(dx, dy, -1.0).normalize();
             let target = Vector3::new(x, y, 0.1 * x - 0.2 * y);
-            let ray = Ray {
-                origin: target - direction * 9.0,
-                direction,
-            };
+            let ray = Ray::new(target - direction * 9.0, direction);
             let error_m = tracer.trace(&ray).map_or(f64::NAN, |hit| (hit.point - target).norm());
             assert!(error_m < 1e-9, "{x} {y}: {error_m}");
         }

@@ -150,11 +150,7 @@ mod tests {
             corner(20.75, 5.25),
         ];
         let mut solids = Solids::default();
-        let finish = Finish {
-            class: Class::Building,
-            material: Material::Plain(grey(0.4)),
-            seed: 0,
-        };
+        let finish = Finish::new(Class::Building, Material::Plain(grey(0.4)), 0);
         solids.polygon(&corners, finish);
         let terrain = HeightField::sample(30.0, 1.0, |_, _| 0.0);
         let tracer = Tracer::new(&terrain, solids.primitives);

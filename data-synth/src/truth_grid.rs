@@ -52,8 +52,5 @@ pub(crate) fn plumb_line(frame: &LocalFrame, grid: &TruthGrid, [col, row]: [f64;
     let [lon_deg, lat_deg] = grid.lon_lat(col, row);
     let at = |height_m: f64| frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m + height_m));
     let (top, bottom) = (at(high_m), at(low_m));
-    Ray {
-        origin: top,
-        direction: (bottom - top).normalize(),
-    }
+    Ray::new(top, (bottom - top).normalize())
 }

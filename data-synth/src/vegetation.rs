@@ -65,11 +65,11 @@ impl Tree {
     fn leaf_surfaces(&self, solids: &mut Solids, ground_z: f64, random: &mut Pcg64Mcg) -> [SurfaceId; 3] {
         let evergreen = self.kind != TreeKind::Broadleaf;
         [0.82, 1.0, 1.2].map(|tone| {
-            let finish = Finish {
-                class: Class::Vegetation,
-                material: Material::Leaves(self.leaf * tone, evergreen),
-                seed: random.random(),
-            };
+            let finish = Finish::new(
+                Class::Vegetation,
+                Material::Leaves(self.leaf * tone, evergreen),
+                random.random(),
+            );
             solids.foliage_surface(Vector3::new(self.x, self.y, ground_z), finish)
         })
     }
@@ -82,11 +82,7 @@ impl Tree {
             angle_rad: 0.0,
             half: [thickness_m; 2],
         };
-        let bark = Finish {
-            class: Class::Vegetation,
-            material: Material::Bark,
-            seed: self.seed as u32,
-        };
+        let bark = Finish::new(Class::Vegetation, Material::Bark, self.seed as u32);
         solids.walls(&plan, ground_z - 0.5, ground_z + 0.6 * self.height_m, bark);
     }
 
@@ -147,11 +143,11 @@ impl Hedge {
         let [from, to] = self.ends;
         let length_m = (to[0] - from[0]).hypot(to[1] - from[1]);
         let bushes = (length_m / 0.8).ceil().max(1.0) as u32;
-        let finish = Finish {
-            class: Class::Vegetation,
-            material: Material::Leaves(Spectrum::new(0.045, 0.070, 0.032, 0.40), true),
-            seed: self.seed as u32,
-        };
+        let finish = Finish::new(
+            Class::Vegetation,
+            Material::Leaves(Spectrum::new(0.045, 0.070, 0.032, 0.40), true),
+            self.seed as u32,
+        );
         let surface = solids.foliage_surface(Vector3::new(from[0], from[1], height_at(from[0], from[1])), finish);
         for k in 0..bushes {
             let share = (f64::from(k) + random.random_range(0.3..0.7)) / f64::from(bushes);
@@ -191,10 +187,7 @@ mod tests {
             let mut top_m = 0.0f64;
             for k in 0..10_000 {
                 let (x, y) = (f64::from(k % 100) * 0.1 - 5.0, f64::from(k / 100) * 0.1 - 5.0);
-                let ray = Ray {
-                    origin: Vector3::new(x, y, 30.0),
-                    direction: -Vector3::z(),
-                };
+                let ray = Ray::new(Vector3::new(x, y, 30.0), -Vector3::z());
                 let z = tracer.trace(&ray).map_or(0.0, |hit| hit.point.z);
                 top_m = top_m.max(z);
                 covered_m2 += if z > 0.01 { 0.01 } else { 0.0 };

@@ -44,11 +44,11 @@ const FOUNDATION_M: f64 = 8.0;
 
 impl Building {
     fn finish(&self, material: Material, part: u32) -> Finish {
-        Finish {
-            class: Class::Building,
+        Finish::new(
+            Class::Building,
             material,
-            seed: crate::noise::hash2(self.seed, u64::from(part)) as u32,
-        }
+            crate::noise::hash2(self.seed, u64::from(part)) as u32,
+        )
     }
 
     /// Adds the building to the solids of a scene.
@@ -267,10 +267,7 @@ mod tests {
         for k in 0..1500 {
             let (a, b) = (f64::from(k % 50) * 0.32 - 7.9, f64::from(k / 50) * 0.3 - 4.4);
             let [x, y] = building.footprint.at(a, b);
-            let ray = Ray {
-                origin: Vector3::new(x, y, 50.0),
-                direction: -Vector3::z(),
-            };
+            let ray = Ray::new(Vector3::new(x, y, 50.0), -Vector3::z());
             let z = tracer.trace(&ray).map_or(f64::NAN, |hit| hit.point.z);
             worst = worst.max((z - building.floor_z - building.eaves_m - expected(a, b)).abs());
             assert!(z.is_finite());
@@ -303,10 +300,7 @@ mod tests {
         let tracer = Tracer::new(&ground, solids.primitives);
         let ray = |a: f64, b: f64| {
             let [x, y] = stepped.footprint.at(a, b);
-            let ray = Ray {
-                origin: Vector3::new(x, y, 50.0),
-                direction: -Vector3::z(),
-            };
+            let ray = Ray::new(Vector3::new(x, y, 50.0), -Vector3::z());
             tracer.trace(&ray).map_or(f64::NAN, |hit| hit.point.z)
         };
         let eaves_z = stepped.floor_z + stepped.eaves_m;

@@ -189,10 +189,7 @@ mod tests {
                 let a = f64::from(i) * 0.7;
                 let eye = Vector3::new(3.0 * a.cos(), 3.0 * a.sin(), 1.0 + (a * 0.3).sin());
                 let aim = solid.centre + Vector3::new((a * 1.3).sin(), (a * 1.7).cos(), (a * 2.1).sin()) * 0.6;
-                let ray = Ray {
-                    origin: eye,
-                    direction: (aim - eye).normalize(),
-                };
+                let ray = Ray::new(eye, (aim - eye).normalize());
                 let Some(hit) = solid.intersect(&ray, f64::INFINITY) else {
                     continue;
                 };
@@ -205,10 +202,7 @@ mod tests {
                     hit.normal.norm()
                 );
                 // A ray that starts there and goes outward does not meet the surface it starts on.
-                let out = Ray {
-                    origin: ray.at(hit.distance),
-                    direction: hit.normal,
-                };
+                let out = Ray::new(ray.at(hit.distance), hit.normal);
                 assert!(
                     solid
                         .intersect(&out, f64::INFINITY)

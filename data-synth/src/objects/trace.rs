@@ -157,10 +157,7 @@ impl Stage {
                 }
             };
             let cosine = surface.normal.dot(&toward);
-            let ray = Ray {
-                origin: *point,
-                direction: toward,
-            };
+            let ray = Ray::new(*point, toward);
             if cosine > 0.0 && !self.blocked(&ray, limit) {
                 sum += surface.reflect(&toward, to_eye).component_mul(&falling) * cosine;
             }
@@ -183,10 +180,7 @@ impl Stage {
             return Colour::zeros();
         };
         let cosine = surface.normal.dot(&toward);
-        let ray = Ray {
-            origin: *point,
-            direction: toward,
-        };
+        let ray = Ray::new(*point, toward);
         if cosine <= 0.0 || self.blocked(&ray, f64::INFINITY) {
             return Colour::zeros();
         }
@@ -210,10 +204,7 @@ impl Stage {
         let (part, medium) = (&self.parts[part], surface.medium?);
         let inward = SurfacePoint::white(-surface.normal);
         let u = sampler.any_pair();
-        let mut ray = Ray {
-            origin: *point,
-            direction: inward.sample(&-surface.normal, 1.0, u)?,
-        };
+        let mut ray = Ray::new(*point, inward.sample(&-surface.normal, 1.0, u)?);
         let mut weight = Colour::repeat(1.0);
         for _ in 0..LONGEST_WALK {
             let distance = -(1.0 - sampler.any()).ln() / medium.extinction;
@@ -235,10 +226,10 @@ impl Stage {
             }
             let (up, azimuth) = (2.0 * sampler.any() - 1.0, 2.0 * PI * sampler.any());
             let sine = (1.0 - up * up).sqrt();
-            ray = Ray {
-                origin: ray.at(distance),
-                direction: Vector3::new(sine * azimuth.cos(), sine * azimuth.sin(), up),
-            };
+            ray = Ray::new(
+                ray.at(distance),
+                Vector3::new(sine * azimuth.cos(), sine * azimuth.sin(), up),
+            );
         }
         None
     }
@@ -276,10 +267,7 @@ impl Stage {
             if weight.max() < 1e-4 {
                 break;
             }
-            let ray = Ray {
-                origin: point,
-                direction: onward,
-            };
+            let ray = Ray::new(point, onward);
             match self.first_hit(&ray) {
                 None => {
                     let own = density / (density + self.environment.density(&onward)).max(1e-12);
@@ -327,10 +315,7 @@ mod tests {
     }
 
     fn look(stage: &Stage, x: f64) -> Colour {
-        let ray = Ray {
-            origin: Vector3::new(x, 0.0, 10.0),
-            direction: -Vector3::z(),
-        };
+        let ray = Ray::new(Vector3::new(x, 0.0, 10.0), -Vector3::z());
         let paths = 4096;
         let sum = (0..paths).filter_map(|path| stage.look(&ray, &mut PathSampler::new(3, path)));
         sum.fold(Colour::zeros(), |sum, seen| sum + seen.radiance) / f64::from(paths)
