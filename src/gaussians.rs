@@ -165,16 +165,16 @@ impl Table {
     }
 }
 
-/// Gradient of a loss to the core parameters of one Gaussian.
+/// Core parameters of one Gaussian as stored, or gradients of a loss to them.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct CoreGradient {
-    /// Gradient to the centre, 1/m.
+pub(crate) struct Core {
+    /// Centre, metres; gradients per metre.
     pub(crate) position: Vec3,
-    /// Gradient to the log scales.
+    /// Log scales: natural logarithms of the standard deviations in metres.
     pub(crate) log_scale: Vec3,
-    /// Gradient to the raw quaternion `x, y, z, w`.
+    /// Quaternion `x, y, z, w`, not necessarily unit.
     pub(crate) rotation: [f32; 4],
-    /// Gradient to the opacity logit.
+    /// Opacity logit.
     pub(crate) opacity: f32,
 }
 
@@ -188,7 +188,7 @@ struct CoreChunk<'t> {
 
 impl CoreChunk<'_> {
     /// Adds to Gaussian `index` of the chunk.
-    fn add(&mut self, index: usize, d: &CoreGradient) {
+    fn add(&mut self, index: usize, d: &Core) {
         let add = |slots: &mut [f32], values: &[f32]| slots.iter_mut().zip(values).for_each(|(slot, v)| *slot += v);
         add(&mut self.position[index * 3..index * 3 + 3], &d.position.to_array());
         add(&mut self.log_scale[index * 3..index * 3 + 3], &d.log_scale.to_array());
@@ -221,7 +221,7 @@ impl Table {
     ///
     /// # Panics
     /// When the indices are not in ascending order.
-    pub(crate) fn add_core(&mut self, indices: &[u32], gradient: impl Fn(usize) -> CoreGradient + Sync) {
+    pub(crate) fn add_core(&mut self, indices: &[u32], gradient: impl Fn(usize) -> Core + Sync) {
         self.add_core_in_blocks::<1>(indices, |places, add| add(0, &gradient(places.start)));
     }
 
@@ -234,7 +234,7 @@ impl Table {
     pub(crate) fn add_core_in_blocks<const N: usize>(
         &mut self,
         indices: &[u32],
-        gradients: impl Fn(Range<usize>, &mut dyn FnMut(usize, &CoreGradient)) + Sync,
+        gradients: impl Fn(Range<usize>, &mut dyn FnMut(usize, &Core)) + Sync,
     ) {
         const CHUNK: usize = 2048;
         assert!(
@@ -265,7 +265,7 @@ impl Table {
     }
 
     /// Adds `gradient` to Gaussian `index`; an index beyond the end has no effect.
-    pub(crate) fn add_core_to(&mut self, index: usize, gradient: &CoreGradient) {
+    pub(crate) fn add_core_to(&mut self, index: usize, gradient: &Core) {
         let chunk = self.core_chunks_mut(1).skip(index).take(1);
         chunk.for_each(|mut chunk| chunk.add(0, gradient));
     }
@@ -275,7 +275,7 @@ impl Table {
     pub(crate) fn add_core_by_range(
         &mut self,
         range: usize,
-        make: impl Fn(usize, &mut dyn FnMut(usize, &CoreGradient)) + Sync,
+        make: impl Fn(usize, &mut dyn FnMut(usize, &Core)) + Sync,
     ) {
         self.core_chunks_mut(range)
             .enumerate()

@@ -69,7 +69,7 @@ pub struct StepReport {
     pub rejected: Option<Fault>,
 }
 
-/// What the steps of a training change, and its views, options and random order do not determine.
+/// State of a training between two steps: views, options and random order do not determine it.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 struct Progress {
     parameters: Parameters,

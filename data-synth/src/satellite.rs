@@ -305,26 +305,24 @@ fn crop_of(
             }
         }
     }
-    match request.size_px {
+    let (first, [width, height]) = match request.size_px {
         Some(size) => {
             let first = [0, 1].map(|k| (0.5 * (low[k] + high[k]) - 0.5 * (size as f64 - 1.0)).round());
-            Crop {
-                col0: first[0],
-                row0: first[1],
-                width: size,
-                height: size,
-            }
+            (first, [size; 2])
         }
         None => {
-            let first = low.map(|v| (v - MARGIN_PX).floor());
-            let last = high.map(|v| (v + MARGIN_PX).ceil());
-            Crop {
-                col0: first[0],
-                row0: first[1],
-                width: (last[0] - first[0]) as usize + 1,
-                height: (last[1] - first[1]) as usize + 1,
-            }
+            let (first, last) = (
+                low.map(|v| (v - MARGIN_PX).floor()),
+                high.map(|v| (v + MARGIN_PX).ceil()),
+            );
+            (first, [0, 1].map(|k| (last[k] - first[k]) as usize + 1))
         }
+    };
+    Crop {
+        col0: first[0],
+        row0: first[1],
+        width,
+        height,
     }
 }
 

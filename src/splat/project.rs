@@ -15,7 +15,7 @@ pub use splat::{ALPHA_MAX, ALPHA_MIN, DEPTH_FILTER_PX2, ProjectionOptions, Splat
 
 use crate::camera::ProjectiveCamera;
 use crate::gaussians::Table;
-use backward::{CoreGradients, SplatsAndGradients, backward_eight};
+use backward::{SplatsAndGradients, backward_eight};
 use forward::{LANES, NOT_FINITE, Raw, Splats, VISIBLE, project_eight};
 use rayon::prelude::*;
 
@@ -106,7 +106,7 @@ pub fn project_backward(
     out: &mut Table,
 ) {
     out.add_core_in_blocks::<LANES>(&projected.gaussian, |places, add| {
-        let (mut raw, mut back, mut grads_of) = (Raw::default(), SplatsAndGradients::EMPTY, CoreGradients::default());
+        let (mut raw, mut back, mut grads_of) = (Raw::default(), SplatsAndGradients::default(), Raw::default());
         let (first, count) = (places.start, places.len());
         raw.load(gaussians, count, |l| projected.gaussian[first + l] as usize);
         for l in 0..count {
@@ -114,7 +114,7 @@ pub fn project_backward(
         }
         backward_eight(&raw, &back, camera, options, &mut grads_of);
         for l in 0..count {
-            add(l, &grads_of.get(l));
+            add(l, &grads_of.one(l));
         }
     });
 }

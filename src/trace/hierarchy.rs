@@ -10,7 +10,7 @@ mod bundle;
 use super::bvh::{Hierarchy, Occluder, Occluders, Shaft};
 use super::light_ray::LightRay;
 use super::occlusion::{RayGradients, RayTransmittance};
-use crate::gaussians::{CoreGradient, Table, rotation_backward};
+use crate::gaussians::{Core, Table, rotation_backward};
 use crate::light::Light;
 use bundle::{BUNDLE, Bundle, Lane, Moments, gather_gradients, trace_bundle};
 use glam::{Mat3, Vec3};
@@ -199,12 +199,12 @@ impl ContributionsByRange {
 
 /// Gradient of a Gaussian from its moments: with `W = S⁻¹Rᵀ` and `n` the nearest point of a ray in the whitened space:
 /// `∂/∂p = Wᵀ Σhn`, `∂/∂ ln s_k = Σ h n_k²`, and `∂/∂R = Wᵀ (Σ h n nᵀ) S` up to components normal to the rotations.
-fn core_gradient(gaussians: &Table, occluder: &Occluder, id: usize, moments: &Moments) -> CoreGradient {
+fn core_gradient(gaussians: &Table, occluder: &Occluder, id: usize, moments: &Moments) -> Core {
     let [nx, ny, nz, xx, xy, xz, yy, yz, zz] = moments.sums;
     let gradients = occluder.whiten().transpose();
     let square = Mat3::from_cols(Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
     let d_rotation = gradients * square * Mat3::from_diagonal(occluder.scale);
-    CoreGradient {
+    Core {
         position: gradients * Vec3::new(nx, ny, nz),
         log_scale: Vec3::new(xx, yy, zz),
         rotation: rotation_backward(gaussians.raw_rotation(id), d_rotation),

@@ -8,7 +8,7 @@
 //! `sqrt(rᵀΣr)` count.
 
 use super::bvh::Occluder;
-use crate::gaussians::{CoreGradient, rotation_backward};
+use crate::gaussians::{Core, rotation_backward};
 use crate::light::Light;
 use glam::{Mat3, Vec3};
 
@@ -81,7 +81,7 @@ impl LightRay {
     /// start: `start = position + axis · full · (1 - axis·r)`, `full` proportional to the thinnest scale. A ray to a
     /// point light turns as its start moves, `∂r/∂position = -(I - rrᵀ) / length`; `d_turn` is the part of `d_start`
     /// that this turn cancels. The lift follows `r`.
-    pub(super) fn backward(&self, d_start: Vec3, d_turn: Vec3, raw_rotation: [f32; 4]) -> CoreGradient {
+    pub(super) fn backward(&self, d_start: Vec3, d_turn: Vec3, raw_rotation: [f32; 4]) -> Core {
         let lift = &self.lift;
         let d_height = d_start.dot(lift.axis);
         let mut log_scale = Vec3::ZERO;
@@ -90,7 +90,7 @@ impl LightRay {
         *d_rotation.col_mut(lift.thin) = (d_start * lift.height - self.direction * (d_height * lift.full)) * lift.sign;
         let d_direction = lift.axis * (-lift.full * d_height);
         let across = d_direction - self.direction * self.direction.dot(d_direction);
-        CoreGradient {
+        Core {
             position: d_start - d_turn - across / self.length.max(1e-12),
             log_scale,
             rotation: rotation_backward(raw_rotation, d_rotation),

@@ -22,7 +22,7 @@ mod kernels;
 use super::bvh::{Occluder, Occluders};
 use super::light_ray::LightRay;
 use super::occlusion::{RayGradients, RayTransmittance};
-use crate::gaussians::{CoreGradient, Table, rotation_backward};
+use crate::gaussians::{Core, Table, rotation_backward};
 use crate::light::Light;
 use crate::parallel::defaults;
 use cells::Cells;
@@ -221,9 +221,9 @@ impl SunPlaneTrace {
         occluder: &Occluder,
         ellipse: &Ellipse,
         moments: &EllipseMoments,
-    ) -> CoreGradient {
+    ) -> Core {
         let shape = moments.shape_gradient(ellipse, &self.axes, occluder);
-        CoreGradient {
+        Core {
             position: shape.position,
             log_scale: shape.log_scale,
             rotation: rotation_backward(gaussians.raw_rotation(ellipse.id as usize), shape.rotation),

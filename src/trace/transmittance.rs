@@ -13,7 +13,7 @@ use super::hierarchy::HierarchyTrace;
 use super::light_ray::LightRay;
 use super::occlusion::{RayGradients, RayTransmittance};
 use super::sun_plane::SunPlaneTrace;
-use crate::gaussians::{CoreGradient, Table};
+use crate::gaussians::{Core, Table};
 use crate::light::Light;
 use glam::Vec3;
 use rand::{RngExt, SeedableRng};
@@ -161,7 +161,7 @@ impl Transmittance {
             let d_turn = self.d_turn.get(place).copied().unwrap_or_default();
             let (d_start, d_turning) = (self.d_origin[place] * d_log[place], d_turn * d_log[place]);
             if d_start == Vec3::ZERO {
-                return CoreGradient::default();
+                return Core::default();
             }
             LightRay::new(&occluders.list[origin], light).backward(d_start, d_turning, gaussians.raw_rotation(origin))
         };

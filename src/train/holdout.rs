@@ -25,7 +25,7 @@ pub struct EarlyStop {
 pub(super) struct Holdout {
     held: Vec<Vec<u32>>,
     patience: usize,
-    /// What training changes.
+    /// Progress so far.
     pub(super) now: Progress,
 }
 
@@ -147,17 +147,11 @@ impl Holdout {
 
     /// Result of early stopping after `steps` steps.
     pub(super) fn summary(&self, steps: usize) -> EarlyStop {
-        match &self.now.best {
-            Some((step, loss, _)) => EarlyStop {
-                steps,
-                best_step: *step,
-                best_l1: Some(*loss),
-            },
-            None => EarlyStop {
-                steps,
-                best_step: steps,
-                best_l1: None,
-            },
+        let best = self.now.best.as_ref();
+        EarlyStop {
+            steps,
+            best_step: best.map_or(steps, |(step, ..)| *step),
+            best_l1: best.map(|(_, loss, _)| *loss),
         }
     }
 

@@ -100,21 +100,14 @@ impl Default for ModelOptions {
 impl ModelOptions {
     /// Checks that networks have 1 to 256 units in each of 1 to 8 layers.
     fn checked(&self) -> Result<(), ConfigError> {
-        let (width, layers) = (self.network_width, self.network_layers);
-        ConfigError::check(&[
-            (
-                "model.network_width",
-                width as f64,
-                (1..=256).contains(&width),
-                "1 to 256",
-            ),
-            (
-                "model.network_layers",
-                layers as f64,
-                (1..=8).contains(&layers),
-                "1 to 8",
-            ),
-        ])
+        let sizes = [
+            ("model.network_width", self.network_width, 256, "1 to 256"),
+            ("model.network_layers", self.network_layers, 8, "1 to 8"),
+        ];
+        ConfigError::check(&sizes.map(|(key, size, most, expected)| {
+            let fits = (1..=most).contains(&size);
+            (key, size as f64, fits, expected)
+        }))
     }
 }
 

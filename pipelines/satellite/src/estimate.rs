@@ -137,16 +137,9 @@ pub fn estimate(scene: &Scene, config: &SatelliteConfig) -> Estimate {
 
 /// Estimate for any ground; `held` is the memory of the process at the start of training, images included, bytes.
 pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, held: f64) -> Estimate {
-    let &Extent {
-        gsd_m,
-        bands,
-        training,
-        altitudes_m,
-        widest_base_to_height,
-        ..
-    } = extent;
+    let (bands, training) = (extent.bands, extent.training);
     let area = crop::grown(&extent.area, ground::MARGIN_M);
-    let cell_m = config.start.cell_gsd * gsd_m;
+    let cell_m = config.start.cell_gsd * extent.gsd_m;
     let cells = (area.east_m - area.west_m) * (area.north_m - area.south_m) / (cell_m * cell_m);
     let gaussians = GAUSSIANS_PER_CELL * cells;
     let options = config.train.clone().for_views(training);
@@ -154,7 +147,11 @@ pub fn estimate_of(extent: &Extent, config: &SatelliteConfig, held: f64) -> Esti
     let fixed = held + copies_bytes(training as f64 * pixels, bands);
     let light = light_bytes(&config.model, bands);
     let training_bytes = |gaussians: f64| training_bytes(gaussians, training, bands, pixels) + gaussians * light;
-    let levels = height_levels(altitudes_m as f32, cell_m as f32, widest_base_to_height as f32);
+    let levels = height_levels(
+        extent.altitudes_m as f32,
+        cell_m as f32,
+        extent.widest_base_to_height as f32,
+    );
     let search = search_bytes(cells, levels, training as f64 * pixels);
     let peak = |gaussians: f64| fixed + training_bytes(gaussians).max(search);
     Estimate {

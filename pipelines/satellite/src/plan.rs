@@ -214,11 +214,13 @@ impl Decisions {
     fn in_words(&self, facts: &Facts, config: &SatelliteConfig) -> Vec<PlanItem> {
         let item = PlanItem::new;
         // Settings of the user take precedence, and the reason states that.
-        let decided = |component: &str, on: bool, set: Option<bool>, by_facts: bool, [yes, no]: [String; 2]| {
+        let decided = |component: &str, set: Option<bool>, by_facts: bool, [yes, no]: [String; 2]| {
             let (otherwise, reason) = if by_facts { ("on", yes) } else { ("off", no) };
             match set {
-                Some(set) if set != by_facts => item(component, on, format!("set so; otherwise {otherwise}: {reason}")),
-                _ => item(component, on, reason),
+                Some(set) if set != by_facts => {
+                    item(component, set, format!("set so; otherwise {otherwise}: {reason}"))
+                }
+                _ => item(component, by_facts, reason),
             }
         };
         let &Facts { images, dates, .. } = facts;
@@ -227,7 +229,6 @@ impl Decisions {
             item(SUN, self.light != Lighting::LeftOut, facts.light_reason()),
             decided(
                 "model.image_colour",
-                self.image_colour,
                 config.model.image_colour,
                 dates > 1,
                 [
@@ -244,7 +245,6 @@ impl Decisions {
             ),
             decided(
                 "model.clouds",
-                self.clouds,
                 config.model.clouds,
                 images >= FEWEST_VIEWS,
                 [
@@ -256,7 +256,6 @@ impl Decisions {
             ),
             decided(
                 "model.change",
-                self.change,
                 config.model.change,
                 facts.is_divided(),
                 [
@@ -272,7 +271,6 @@ impl Decisions {
             ),
             decided(
                 "model.saturation",
-                self.saturation,
                 config.model.saturation,
                 facts.clipped > 0.0,
                 [
@@ -285,7 +283,6 @@ impl Decisions {
             ),
             decided(
                 SHADOW_PRIOR,
-                self.shadow_prior,
                 config.model.shadow_prior,
                 images < ENOUGH_VIEWS,
                 [

@@ -61,7 +61,7 @@ fn degree(function: usize) -> usize {
 }
 
 /// Position, material, frame and light of a Gaussian.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct ReflectiveSurface {
     /// Centre of the Gaussian, scene units.
     pub(super) position: Vec3,
@@ -81,26 +81,8 @@ pub(super) struct ReflectiveSurface {
     pub(super) embedding: [f32; EMBEDDING_WIDTH],
 }
 
-/// Gradients of a loss to a [`ReflectiveSurface`].
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct SurfaceGradient {
-    /// Gradient to the centre.
-    pub(super) position: Vec3,
-    /// Gradient to the albedo.
-    pub(super) albedo: [f32; COLOURS],
-    /// Gradient to the metallic share.
-    pub(super) metallic: f32,
-    /// Gradient to the widths of the lobe.
-    pub(super) alpha: [f32; 2],
-    /// Gradient to the weight of the specular term.
-    pub(super) gloss: f32,
-    /// Gradient to the frame's quaternion.
-    pub(super) frame: [f32; 4],
-    /// Gradient to the coefficients of light.
-    pub(super) light: Coefficients,
-    /// Gradient to the material embedding.
-    pub(super) embedding: [f32; EMBEDDING_WIDTH],
-}
+/// Gradients of a loss to a [`ReflectiveSurface`], field by field.
+pub(super) type SurfaceGradient = ReflectiveSurface;
 
 /// Viewing geometry of a surface, with the direction of the reflected eye ray.
 pub(super) struct ViewGeometry {

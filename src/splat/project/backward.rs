@@ -5,10 +5,10 @@
 //! covariances to the whitened vectors, those to Jacobian rows, scales and rotation, and the Jacobian rows to the
 //! position.
 
-use super::forward::{LANES, Lane, Raw, RawOne, Whitened, inverse_filtered, three};
+use super::forward::{LANES, Lane, Raw, Whitened, inverse_filtered, three};
 use super::splat::{DEPTH_FILTER_PX2, ProjectionOptions, Splat, SplatGradient};
 use crate::camera::ProjectiveCamera;
-use crate::gaussians::CoreGradient;
+use crate::gaussians::Core;
 use crate::vectorised;
 use glam::{Mat3, Vec3};
 
@@ -26,7 +26,7 @@ fn inverse_backward(inverse: [f32; 3], d_inverse: [f32; 3]) -> [f32; 3] {
 }
 
 /// Inputs of the backward pass for eight splats, and their gradients.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(super) struct SplatsAndGradients {
     conic: [Lane; 3],
     slope: [Lane; 2],
@@ -35,14 +35,6 @@ pub(super) struct SplatsAndGradients {
 }
 
 impl SplatsAndGradients {
-    /// Eight splats and gradients, all zero.
-    pub(super) const EMPTY: Self = Self {
-        conic: [[0.0; LANES]; 3],
-        slope: [[0.0; LANES]; 2],
-        normal: [[0.0; LANES]; 3],
-        grads: [[0.0; LANES]; 12],
-    };
-
     /// Puts a splat and its gradient in lane `l`.
     #[inline(always)]
     pub(super) fn set(&mut self, l: usize, splat: &Splat, grad: &SplatGradient) {
@@ -84,64 +76,17 @@ impl SplatsAndGradients {
     }
 }
 
-/// Gradients of eight Gaussians' core parameters.
-#[derive(Clone, Copy, Default)]
-pub(super) struct CoreGradients {
-    position: [Lane; 3],
-    log_scale: [Lane; 3],
-    rotation: [Lane; 4],
-    opacity: Lane,
-}
-
-impl CoreGradients {
-    /// Gradient of Gaussian `l`.
-    #[inline(always)]
-    pub(super) fn get(&self, l: usize) -> CoreGradient {
-        let q = &self.rotation;
-        CoreGradient {
-            position: three(&self.position, l),
-            log_scale: three(&self.log_scale, l),
-            rotation: [q[0][l], q[1][l], q[2][l], q[3][l]],
-            opacity: self.opacity[l],
-        }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, l: usize, one: &CoreGradient) {
-        self.position[0][l] = one.position.x;
-        self.position[1][l] = one.position.y;
-        self.position[2][l] = one.position.z;
-        self.log_scale[0][l] = one.log_scale.x;
-        self.log_scale[1][l] = one.log_scale.y;
-        self.log_scale[2][l] = one.log_scale.z;
-        self.rotation[0][l] = one.rotation[0];
-        self.rotation[1][l] = one.rotation[1];
-        self.rotation[2][l] = one.rotation[2];
-        self.rotation[3][l] = one.rotation[3];
-        self.opacity[l] = one.opacity;
-    }
-}
-
 #[inline(always)]
 fn backward_one(
-    raw: &RawOne,
+    raw: &Core,
     camera: &ProjectiveCamera,
     options: &ProjectionOptions,
     splat: &Splat,
     grad: &SplatGradient,
-) -> CoreGradient {
+) -> Core {
     let whitened = Whitened::new(raw, camera);
-    let Whitened {
-        rotation,
-        scale,
-        ju,
-        jv,
-        a,
-        b,
-        c,
-        covariance,
-        ..
-    } = whitened;
+    let (rotation, scale, covariance) = (whitened.rotation, whitened.scale, whitened.covariance);
+    let (ju, jv, a, b, c) = (whitened.ju, whitened.jv, whitened.a, whitened.b, whitened.c);
 
     // Normal -> slopes and Jacobian rows.
     let raw_normal = ju * splat.slope[0] + jv * splat.slope[1] - camera.depth_axis;
@@ -211,7 +156,7 @@ fn backward_one(
     let d_col = grad.col - camera.w.dot(d_ju) * inverse;
     let d_row = grad.row - camera.w.dot(d_jv) * inverse;
     let position = ju * d_col + jv * d_row + axis * grad.depth - camera.w * ((ju.dot(d_ju) + jv.dot(d_jv)) * inverse);
-    CoreGradient {
+    Core {
         position,
         log_scale,
         rotation,
@@ -246,10 +191,10 @@ vectorised! {
         back: &SplatsAndGradients,
         camera: &ProjectiveCamera,
         options: &ProjectionOptions,
-        out: &mut CoreGradients,
+        out: &mut Raw,
     ) {
         let (raw, back, camera, options) = (*raw, *back, *camera, *options);
-        let mut all = CoreGradients::default();
+        let mut all = Raw::default();
         for l in 0..LANES {
             let (splat, grad) = back.one(l);
             all.set(l, &backward_one(&raw.one(l), &camera, &options, &splat, &grad));

@@ -4,7 +4,7 @@
 use super::splat::{ALPHA_MIN, DEPTH_FILTER_PX2, ProjectionOptions, Splat};
 use crate::camera::ProjectiveCamera;
 use crate::fast;
-use crate::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table};
+use crate::gaussians::{Core, LOG_SCALE, OPACITY, POSITION, ROTATION, Table};
 use crate::vectorised;
 use glam::{Mat3, Vec3};
 
@@ -20,7 +20,7 @@ pub(super) const VISIBLE: u32 = 1;
 /// Cull status of a Gaussian that is dropped because a number is not finite.
 pub(super) const NOT_FINITE: u32 = 2;
 
-/// The core parameters of eight Gaussians, as stored.
+/// The core parameters of eight Gaussians, as stored, or gradients to them.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Raw {
     position: [Lane; 3],
@@ -53,20 +53,32 @@ impl Raw {
         }
     }
 
-    /// Parameters of the Gaussian in lane `l`.
+    /// Numbers of the Gaussian in lane `l`.
     #[inline(always)]
-    pub(super) fn one(&self, l: usize) -> RawOne {
-        RawOne {
+    pub(super) fn one(&self, l: usize) -> Core {
+        let q = &self.rotation;
+        Core {
             position: three(&self.position, l),
             log_scale: three(&self.log_scale, l),
-            rotation: [
-                self.rotation[0][l],
-                self.rotation[1][l],
-                self.rotation[2][l],
-                self.rotation[3][l],
-            ],
+            rotation: [q[0][l], q[1][l], q[2][l], q[3][l]],
             opacity: self.opacity[l],
         }
+    }
+
+    /// Puts the numbers of one Gaussian in lane `l`.
+    #[inline(always)]
+    pub(super) fn set(&mut self, l: usize, one: &Core) {
+        self.position[0][l] = one.position.x;
+        self.position[1][l] = one.position.y;
+        self.position[2][l] = one.position.z;
+        self.log_scale[0][l] = one.log_scale.x;
+        self.log_scale[1][l] = one.log_scale.y;
+        self.log_scale[2][l] = one.log_scale.z;
+        self.rotation[0][l] = one.rotation[0];
+        self.rotation[1][l] = one.rotation[1];
+        self.rotation[2][l] = one.rotation[2];
+        self.rotation[3][l] = one.rotation[3];
+        self.opacity[l] = one.opacity;
     }
 }
 
@@ -74,18 +86,6 @@ impl Raw {
 #[inline(always)]
 pub(super) fn three(lanes: &[Lane; 3], l: usize) -> Vec3 {
     Vec3::new(lanes[0][l], lanes[1][l], lanes[2][l])
-}
-
-/// Core parameters of one Gaussian, as stored.
-pub(super) struct RawOne {
-    /// Centre, metres.
-    pub(super) position: Vec3,
-    /// Log scales: natural logarithms of the standard deviations in metres.
-    pub(super) log_scale: Vec3,
-    /// Quaternion `x, y, z, w`, not necessarily unit.
-    pub(super) rotation: [f32; 4],
-    /// Opacity logit.
-    pub(super) opacity: f32,
 }
 
 /// A unit quaternion, and the norm it had; the identity and zero where it was degenerate.
@@ -154,7 +154,7 @@ pub(super) struct Whitened {
 impl Whitened {
     /// The whitened vectors of the Gaussian `raw` in the view of `camera`.
     #[inline(always)]
-    pub(super) fn new(raw: &RawOne, camera: &ProjectiveCamera) -> Self {
+    pub(super) fn new(raw: &Core, camera: &ProjectiveCamera) -> Self {
         let (col, row, denominator) = camera.project(raw.position);
         let (quaternion, norm) = unit(raw.rotation);
         let rotation = matrix(quaternion);
@@ -267,7 +267,7 @@ impl Splats {
 }
 
 #[inline(always)]
-fn project_one(raw: &RawOne, camera: &ProjectiveCamera, options: &ProjectionOptions) -> (u32, Splat) {
+fn project_one(raw: &Core, camera: &ProjectiveCamera, options: &ProjectionOptions) -> (u32, Splat) {
     let whitened = Whitened::new(raw, camera);
     let (col, row) = (whitened.col, whitened.row);
     let (width, height) = (camera.width as f32, camera.height as f32);
