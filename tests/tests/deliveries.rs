@@ -368,6 +368,11 @@ fn images_of_two_resolutions_make_a_surface_in_cells_of_the_finer() {
     let error_m = || {
         json(&["dsm", &word, "--from", "sweep", "--out", &dsm]);
         let errors = json(&["evaluate", "--dsm", &dsm, "--truth", &truth]);
+        assert_eq!(
+            errors,
+            json(&["evaluate", &dsm, "--truth", &truth]),
+            "a DSM is told from a run"
+        );
         errors["dsm"]["mae_m"].as_f64().expect("a number")
     };
     let gsd_m = |scene: &Value| scene["gsd_m"].as_f64().expect("a number");

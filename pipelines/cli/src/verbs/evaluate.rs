@@ -23,12 +23,13 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<Outcome, CliError> {
     }
     let dsm = match (&args.dsm, &args.run) {
         (Some(dsm), _) => dsm.clone(),
+        (None, Some(file)) if file.is_file() => file.clone(),
         (None, Some(run)) if args.truth.is_some() => run.join("dsm.tif"),
         (None, Some(run)) => return model::evaluate(run, args),
         (None, None) => return Err(CliError::Input("evaluate: give a RUN, or --dsm and --truth".to_owned())),
     };
     let Some(truth) = &args.truth else {
-        return Err(CliError::Input("evaluate: --dsm needs --truth FILE".to_owned()));
+        return Err(CliError::Input("evaluate: a DSM needs --truth FILE".to_owned()));
     };
     let evaluation = evaluate_dsm(&dsm, truth, args.classes.as_deref(), args.protocol)?;
     for warning in &evaluation.warnings {

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Inputs and options of `evaluate`.
 #[derive(Debug, Args)]
 pub struct EvaluateArgs {
-    /// A run, measured against the truth of its scene
+    /// A run, measured against the truth of its scene; or a DSM, with `--truth`
     #[arg(value_name = "RUN", conflicts_with = "dsm")]
     pub run: Option<PathBuf>,
     /// A DSM
