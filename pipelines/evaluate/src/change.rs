@@ -38,7 +38,7 @@ pub struct ChangeScore {
 /// or the files of dates beside the maps, are days as YYYYMMDD.
 ///
 /// # Errors
-/// [`EvaluateError`], naming the file at fault.
+/// [`EvaluateError`](super::EvaluateError), naming the file at fault.
 pub fn evaluate_change(found: &Path, truth: &Path) -> Result<ChangeScore> {
     let (found, truth) = (read(found)?, read(truth)?);
     let placement = Placement::new(&found, &truth)?;
