@@ -80,8 +80,8 @@ impl Composite for Mosaic {
             if left >= right || top >= bottom {
                 continue;
             }
-            let window = Window::new((left - col0, top - row0), (right - left, bottom - top));
-            let part = file.read(window, bands)?;
+            let common = Window::new((left - col0, top - row0), (right - left, bottom - top));
+            let part = file.read(common, bands)?;
             let first = (top - window.row0) * window.width + left - window.col0;
             for (band, out) in values.chunks_exact_mut(plane).enumerate() {
                 let rows = part.plane(band).chunks_exact(part.width);
