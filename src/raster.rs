@@ -24,6 +24,15 @@ impl Raster {
         }
     }
 
+    /// Makes all bands `NaN` where `known`, one value a pixel, is `NaN`.
+    pub fn blank_unknown(&mut self, known: &[f32]) {
+        for band in 0..self.bands {
+            let values = self.plane_mut(band).iter_mut();
+            let unknown = values.zip(known).filter(|(_, known)| known.is_nan());
+            unknown.for_each(|(value, _)| *value = f32::NAN);
+        }
+    }
+
     /// Number of pixels of one plane.
     pub fn plane_len(&self) -> usize {
         self.width * self.height

@@ -71,7 +71,7 @@ pub struct StepReport {
 
 /// State of a training between two steps: views, options and random order do not determine it.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
-struct Progress {
+struct StepState {
     parameters: Parameters,
     gaussians_adam: Adam,
     globals_adam: Adam,
@@ -93,7 +93,7 @@ pub struct Trainer<'a> {
     options: TrainOptions,
     nadir: Option<ProjectiveCamera>,
     bounds: (Vec3, Vec3),
-    now: Progress,
+    now: StepState,
     /// Learning rates of the model's groups, in the order of the tables; those of the core groups are options.
     feature_rates: Vec<LearningRate>,
     global_rates: Vec<LearningRate>,
@@ -142,7 +142,7 @@ impl<'a> Trainer<'a> {
             occluders: None,
             occluders_step: 0,
             order: Vec::new(),
-            now: Progress {
+            now: StepState {
                 gaussians_adam: Adam::new(&parameters.gaussians),
                 globals_adam: Adam::new(&parameters.globals),
                 statistics: DensityStatistics::new(parameters.gaussians.count),

@@ -3,8 +3,8 @@
 //! Views, options and the random order follow from the inputs and are not part of it. A state is plain data for serde;
 //! its file format is defined elsewhere.
 
-use super::holdout::Progress as HoldoutProgress;
-use super::{Progress, Trainer};
+use super::holdout::HoldoutState;
+use super::{StepState, Trainer};
 use crate::gaussians::Table;
 use crate::optim::Adam;
 use crate::trace::Occluders;
@@ -28,8 +28,8 @@ pub struct TrainerState<'a> {
     /// Options that may change while a training runs.
     iterations: usize,
     density_cap: usize,
-    now: Cow<'a, Progress>,
-    holdout: Cow<'a, HoldoutProgress>,
+    now: Cow<'a, StepState>,
+    holdout: Cow<'a, HoldoutState>,
     /// Step at which the occluders were made, and the bounds that a hierarchy over them was built on: the places of
     /// Gaussians in it fix the order of products.
     occluders: Option<(usize, Option<Cow<'a, [Bounds]>>)>,

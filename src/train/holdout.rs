@@ -25,13 +25,13 @@ pub struct EarlyStop {
 pub(super) struct Holdout {
     held: Vec<Vec<u32>>,
     patience: usize,
-    /// Progress so far.
-    pub(super) now: Progress,
+    /// Its state.
+    pub(super) now: HoldoutState,
 }
 
-/// Progress on the held-out tiles. The tiles follow from the seed.
+/// State of the watch over held-out tiles. The tiles follow from the seed.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
-pub(super) struct Progress {
+pub(super) struct HoldoutState {
     /// Latest loss of each view.
     pub(super) losses: Vec<Option<f64>>,
     /// Step, loss and parameters of the best state so far; `None` before the first epoch that was compared.
@@ -78,7 +78,7 @@ impl Holdout {
         Self {
             held,
             patience: options.patience,
-            now: Progress {
+            now: HoldoutState {
                 losses: vec![None; views.len()],
                 best: None,
                 epochs_without: 0,

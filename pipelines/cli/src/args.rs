@@ -58,7 +58,7 @@ pub fn scene_of(named: &[PathBuf], folder: &Path) -> Result<PathBuf, CliError> {
             true => path.clone(),
             false => std::fs::canonicalize(path).map_err(|_| RasterError::Missing(path.clone()))?,
         };
-        // A JSON string is a valid TOML string. Writing to a String cannot fail.
+        // A JSON string is a valid TOML string.
         let quoted = serde_json::json!(whole.to_string_lossy());
         text += &format!("[[images]]\npath = {quoted}\n");
     }

@@ -117,9 +117,9 @@ impl DsmEvaluation {
     pub fn count_seen_unknown(&mut self, seen: &[bool]) {
         let cells = seen.iter().zip(&self.wanted).zip(self.errors.plane(0));
         let cells = cells.filter(|((seen, wanted), _)| **seen && **wanted);
-        let errors: Vec<&f32> = cells.map(|(_, error)| error).collect();
-        let unknown = errors.iter().filter(|error| error.is_nan()).count();
-        self.metrics.seen_unknown = (!errors.is_empty()).then(|| unknown as f64 / errors.len() as f64);
+        let count = |(all, unknown), (_, error): (_, &f32)| (all + 1, unknown + usize::from(error.is_nan()));
+        let (all, unknown) = cells.fold((0usize, 0usize), count);
+        self.metrics.seen_unknown = (all > 0).then(|| unknown as f64 / all as f64);
     }
 }
 

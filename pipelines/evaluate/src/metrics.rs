@@ -134,8 +134,9 @@ pub(super) fn outside_truth(errors: &Raster, wanted: &[bool], truth: &Raster) ->
 
 /// Statistics of the errors of the wanted cells, `NaN` where there is no prediction; `None` when none is measured.
 pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErrors> {
-    let all: Vec<f64> = wanted.map(f64::from).collect();
-    let errors: Vec<f64> = all.iter().copied().filter(|error| error.is_finite()).collect();
+    let mut count = 0usize;
+    let counted = wanted.map(f64::from).inspect(|_| count += 1);
+    let errors: Vec<f64> = counted.filter(|error| error.is_finite()).collect();
     if errors.is_empty() {
         return None;
     }
@@ -148,7 +149,7 @@ pub(super) fn statistics(wanted: impl Iterator<Item = f32>) -> Option<HeightErro
         within_1m: absolute.iter().filter(|error| **error <= 1.0).count() as f64 / measured,
         median_m: median(&mut absolute)?,
         nmad_m: nmad(&errors)?,
-        completeness: measured / all.len() as f64,
+        completeness: measured / count as f64,
     })
 }
 

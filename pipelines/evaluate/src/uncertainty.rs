@@ -73,7 +73,6 @@ impl Uncertainty {
         );
         text.push_str("expected m     RMSE m    MAE m  median m\n");
         for group in &self.groups {
-            // Writing to a String cannot fail.
             let [expected, rmse, mae, median] = [group.expected_m, group.rmse_m, group.mae_m, group.median_m];
             let _ = writeln!(text, "{expected:<12.3} {rmse:>8.3} {mae:>8.3}  {median:>8.3}");
         }

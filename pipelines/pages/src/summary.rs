@@ -148,39 +148,34 @@ pub fn table(rows: &[Row]) -> String {
 pub fn page(rows: &[Row]) -> String {
     let count = |pick: &dyn Fn(State) -> bool| rows.iter().filter(|row| pick(row.state)).count();
     let body = html! {
-            p {
-                (rows.len()) " units: " (count(&State::is_done)) " finished, " (count(&State::is_lost)) " failed, "
-                (count(&|state| !state.is_final())) " not done."
+        p {
+            (rows.len()) " units: " (count(&State::is_done)) " finished, " (count(&State::is_lost)) " failed, "
+            (count(&|state| !state.is_final())) " not done."
+        }
+        (tile_maps(rows))
+        (pictures(rows))
+        div.wide { table {
+            tr {
+                th { "unit" } th.words { "kind" } th.words { "state" } th { "time, s" } th { "peak memory, MiB" } th { "estimated, MiB" }
+                th { "DSM MAE, m" } th { "completeness" }
             }
-            (tile_maps(rows))
-            (pictures(rows))
-            div.wide { table {
-                tr {
-                    th { "unit" } th.words { "kind" } th.words { "state" } th { "time, s" } th { "peak memory, MiB" } th { "estimated, MiB" }
-                    th { "DSM MAE, m" } th { "completeness" }
+            @for row in rows {
+                @let [seconds, peak, mae, completeness] = numbers(row);
+                tr.failed[row.state == State::Failed].blocked[row.state == State::Blocked] {
+                    td { (linked(row)) }
+                    td.words { (row.kind) }
+                    td.words { (row.state.name()) @if let Some(error) = &row.error { ": " (error) } }
+                    td { (seconds) }
+                    td { (peak) }
+                    td { (row.mem_mb) }
+                    td { (mae) }
+                    td { (completeness) }
                 }
-                @for row in rows {
-                    @let [seconds, peak, mae, completeness] = numbers(row);
-                    tr.failed[row.state == State::Failed].blocked[row.state == State::Blocked] {
-    td {
-    @match address(row) {
-    Some(address) => a href=(address) { (row.unit) },
-    None => (row.unit),
-    }
-    }
-                        td.words { (row.kind) }
-                        td.words { (row.state.name()) @if let Some(error) = &row.error { ": " (error) } }
-                        td { (seconds) }
-                        td { (peak) }
-                        td { (row.mem_mb) }
-                        td { (mae) }
-                        td { (completeness) }
-                    }
-                }
-            } }
-            (borders(rows))
-            p.faint { "heliosplat " (env!("CARGO_PKG_VERSION")) ". MAE: mean absolute error against truth, protocol raw." }
-        };
+            }
+        } }
+        (borders(rows))
+        p.faint { "heliosplat " (env!("CARGO_PKG_VERSION")) ". MAE: mean absolute error against truth, protocol raw." }
+    };
     document("Batch", &body)
 }
 
@@ -192,6 +187,15 @@ fn address(row: &Row) -> Option<String> {
         _ => return None,
     };
     row.state.is_done().then(|| format!("./{}/{within}{REPORT}", row.unit))
+}
+
+fn linked(row: &Row) -> Markup {
+    html! {
+        @match address(row) {
+            Some(address) => a href=(address) { (row.unit) },
+            None => (row.unit),
+        }
+    }
 }
 
 /// Path before the tile's name, row and column of a tile, from `.../tile-r3c0`.

@@ -80,8 +80,10 @@ impl ChangeMap {
             let place = |col: usize| nadir.enu.enu(col as f64, row as f64, height_m);
             let places: Vec<[f64; 3]> = (0..width).map(place).collect();
             let near = segments_along(&changes.segments, &places);
+            let mut heights = Vec::with_capacity(surfaces.len());
             let of_cell = |col: usize| {
-                let heights: Vec<f32> = surfaces.iter().map(|surface| surface[row * width + col]).collect();
+                heights.clear();
+                heights.extend(surfaces.iter().map(|surface| surface[row * width + col]));
                 cell_change(&moments, &heights, &|day| confidence(&near, day, &places[col]))
             };
             (0..width).map(of_cell).collect::<Vec<[f32; 3]>>()

@@ -315,7 +315,7 @@ impl Dsm {
 
     /// Sets the cells of a raster on the same grid to NaN where the altitude is unknown.
     pub fn blank_unknown(&self, raster: &mut Raster) {
-        blank_unknown(raster, self.raster.plane(ALTITUDE));
+        raster.blank_unknown(self.raster.plane(ALTITUDE));
     }
 
     /// True if the file at `path` holds equal altitudes on an equal grid above the same datum.
@@ -402,15 +402,6 @@ impl Dsm {
     /// Band of altitudes, metres.
     pub fn altitude(&self) -> Raster {
         self.raster.band(0)
-    }
-}
-
-/// Makes the bands of a raster unknown where `known` is not a number.
-pub(crate) fn blank_unknown(raster: &mut Raster, known: &[f32]) {
-    for band in 0..raster.bands {
-        let values = raster.plane_mut(band).iter_mut();
-        let unknown = values.zip(known).filter(|(_, known)| known.is_nan());
-        unknown.for_each(|(value, _)| *value = f32::NAN);
     }
 }
 

@@ -7,7 +7,7 @@
 
 use heliosplat_grid::around;
 use heliosplat_grid::statistics::upper_quantile;
-use std::cmp::Reverse;
+use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
 /// Quantile of the neighbouring altitudes that fills an unknown cell.
@@ -19,12 +19,13 @@ pub(super) fn close_holes(width: usize, altitude_m: &mut [f32]) -> Vec<usize> {
     let height = altitude_m.len() / width.max(1);
     let around = |cell: usize| around((width, height), cell, 1);
     let mut outside = vec![false; altitude_m.len()];
-    let is_open = |cell: &usize| {
-        let (col, row) = (cell % width, cell / width);
-        let border = col == 0 || row == 0 || col + 1 == width || row + 1 == height;
-        border && altitude_m[*cell].is_nan()
-    };
-    let mut reached: Vec<usize> = (0..altitude_m.len()).filter(is_open).collect();
+    let mut reached: Vec<usize> = (0..altitude_m.len())
+        .filter(|&cell| {
+            let (col, row) = (cell % width, cell / width);
+            let border = col == 0 || row == 0 || col + 1 == width || row + 1 == height;
+            border && altitude_m[cell].is_nan()
+        })
+        .collect();
     reached.iter().for_each(|&cell| outside[cell] = true);
     while let Some(cell) = reached.pop() {
         for near in around(cell) {
@@ -34,39 +35,56 @@ pub(super) fn close_holes(width: usize, altitude_m: &mut [f32]) -> Vec<usize> {
             }
         }
     }
-    let is_closed = |cell: &usize| altitude_m[*cell].is_nan() && !outside[*cell];
-    let closed: Vec<usize> = (0..altitude_m.len()).filter(is_closed).collect();
-    // By altitude, then by cell, so that the order of filling is always the same.
+    let closed: Vec<usize> = (0..altitude_m.len())
+        .filter(|&cell| altitude_m[cell].is_nan() && !outside[cell])
+        .collect();
     let mut near = Vec::with_capacity(8);
     let mut candidate = |altitude_m: &[f32], cell: usize| {
         near.clear();
         near.extend(around(cell).map(|n| altitude_m[n]).filter(|z| z.is_finite()));
-        // A neighbour that was filled meanwhile may have changed it.
-        let altitude_m = upper_quantile(&mut near, QUARTILE)?;
-        Some(Reverse((ordered(altitude_m.to_bits().cast_signed()), cell)))
+        upper_quantile(&mut near, QUARTILE).map(|altitude_m| Reverse(Candidate { altitude_m, cell }))
     };
-    let mut waiting: BinaryHeap<_> = closed.iter().filter_map(|&cell| candidate(altitude_m, cell)).collect();
-    while let Some(Reverse((key, cell))) = waiting.pop() {
-        if altitude_m[cell].is_finite() {
+    let mut waiting: BinaryHeap<Reverse<Candidate>> =
+        closed.iter().filter_map(|&cell| candidate(altitude_m, cell)).collect();
+    while let Some(Reverse(lowest)) = waiting.pop() {
+        if altitude_m[lowest.cell].is_finite() {
             continue;
         }
-        match candidate(altitude_m, cell) {
-            Some(now) if now.0 == (key, cell) => altitude_m[cell] = f32::from_bits(ordered(key).cast_unsigned()),
+        // A neighbour that was filled meanwhile may have changed it.
+        match candidate(altitude_m, lowest.cell) {
+            Some(now) if now.0 == lowest => altitude_m[lowest.cell] = lowest.altitude_m,
             now => {
                 waiting.extend(now);
                 continue;
             }
         }
-        let beside = around(cell).filter(|&n| altitude_m[n].is_nan() && !outside[n]);
+        let beside = around(lowest.cell).filter(|&n| altitude_m[n].is_nan() && !outside[n]);
         let again: Vec<_> = beside.filter_map(|cell| candidate(altitude_m, cell)).collect();
         waiting.extend(again);
     }
     closed
 }
 
-/// From the bits of a float to a number in the order of [`f32::total_cmp`], and back.
-fn ordered(bits: i32) -> i32 {
-    bits ^ ((bits >> 31).cast_unsigned() >> 1).cast_signed()
+/// An altitude for a cell; ordered by altitude, then by cell, so that the order of filling is always the same.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Candidate {
+    altitude_m: f32,
+    cell: usize,
+}
+
+impl Eq for Candidate {}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let by_altitude = self.altitude_m.total_cmp(&other.altitude_m);
+        by_altitude.then(self.cell.cmp(&other.cell))
+    }
+}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! The scene under any sun, and its shadow mask.
 
-use super::dsm::blank_unknown;
 use super::nadir::NadirGrid;
 use super::surface_shadow::SurfaceShadows;
 use super::views::camera_of;
@@ -122,7 +121,7 @@ impl<'a> Viewpoint<'a> {
         let mut image = composed(self.model, sun, light, &self.camera, &maps)?;
         let counts = self.model.file.counts_per_unit as f32;
         image.values.iter_mut().for_each(|value| *value *= counts);
-        blank_unknown(&mut image, &visibility.values);
+        image.blank_unknown(&visibility.values);
         Ok(Relit {
             image,
             visibility,

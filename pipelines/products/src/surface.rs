@@ -181,7 +181,13 @@ fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveC
         for plane in [&mut seen.near_depth, &mut seen.median_depth, &mut seen.far_depth] {
             forget_thin(plane, &seen.alpha);
         }
-        seen
+        // The other planes would stay in memory for each place.
+        Maps {
+            near_depth: seen.near_depth,
+            median_depth: seen.median_depth,
+            far_depth: seen.far_depth,
+            ..Maps::default()
+        }
     };
     (0..PLACES * PLACES).map(look).collect()
 }

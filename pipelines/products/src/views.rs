@@ -1,6 +1,5 @@
 //! Renderings of the images of a run, and their scores.
 
-use super::dsm::blank_unknown;
 use super::shadow_mask::Evidence;
 use crate::model::{LoadedModel, ModelImage};
 use heliosplat::light::Light;
@@ -105,7 +104,7 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
         }
         .visibility()
     });
-    blank_unknown(&mut colours, &traced.values);
+    colours.blank_unknown(&traced.values);
     if light.is_none() {
         // Everything was rendered as lit; that is no statement about shadows.
         traced.values.fill(f32::NAN);

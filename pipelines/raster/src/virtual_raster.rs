@@ -10,6 +10,18 @@ pub fn escaped(text: &str) -> String {
     text.replace('"', "&quot;")
 }
 
+fn colour_name(colour: Colour) -> &'static str {
+    match colour {
+        Colour::Grey => "Gray",
+        Colour::Red => "Red",
+        Colour::Green => "Green",
+        Colour::Blue => "Blue",
+        Colour::Alpha => "Alpha",
+        Colour::Palette => "Palette",
+        Colour::Undefined => "Undefined",
+    }
+}
+
 /// File of a part of a raster.
 pub struct Part {
     /// Path of the file, relative to the virtual raster.
@@ -45,10 +57,7 @@ pub fn virtual_raster(grid: &GridSpec, bands: &[BandInfo], metadata: &[(String, 
         if let Some(nodata) = band.nodata {
             let _ = writeln!(text, "    <NoDataValue>{nodata}</NoDataValue>");
         }
-        let colour = match band.colour {
-            Colour::Grey => "Gray".to_owned(),
-            other => format!("{other:?}"),
-        };
+        let colour = colour_name(band.colour);
         let _ = writeln!(text, "    <ColorInterp>{colour}</ColorInterp>");
         for Part { path, at, size } in parts {
             let (width, height) = size;

@@ -4,7 +4,7 @@
 use super::area::{READ_PX, window_around};
 use super::cut::{footprint_of, gsd_m, localise, whole};
 use super::footprint::Footprint;
-use super::{AltitudeRange, Area, IngestOptions, Result, SceneError};
+use super::{AltitudeRange, IngestOptions, Result, SceneError};
 use heliosplat::Raster;
 use heliosplat_delivery::{Index, IndexImage};
 use heliosplat_raster::Window;
@@ -44,22 +44,14 @@ impl<'a> SceneCameras<'a> {
         };
         let frame = LocalFrame::new(origin);
         let wanted = options.area.as_ref().map(|wanted| wanted.area(&frame)).transpose()?;
-        let wanted = wanted.map(
-            |Area {
-                 west_m,
-                 south_m,
-                 east_m,
-                 north_m,
-             }| {
-                let corners = [
-                    (west_m, south_m),
-                    (east_m, south_m),
-                    (east_m, north_m),
-                    (west_m, north_m),
-                ];
-                Footprint::new(corners.map(|(x, y)| [x, y]).to_vec())
-            },
-        );
+        let wanted = wanted.map(|a| {
+            Footprint::new(vec![
+                [a.west_m, a.south_m],
+                [a.east_m, a.south_m],
+                [a.east_m, a.north_m],
+                [a.west_m, a.north_m],
+            ])
+        });
         Ok(Self {
             images,
             frame,

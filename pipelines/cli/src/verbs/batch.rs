@@ -116,7 +116,6 @@ fn planned(args: &BatchArgs, plan: &Plan) -> Outcome {
             (false, Some(_)) => "to do, done by another build",
             (false, None) => "to do",
         };
-        // Writing to a String cannot fail.
         let (id, mem_mb, runtime_s) = (&unit.id, unit.mem_mb, unit.runtime_s);
         text += &match unit.refusal() {
             Some(reason) => format!("refused   {id}: {reason}\n"),

@@ -88,7 +88,6 @@ pub fn table(metrics: &DsmMetrics) -> String {
             Some(to_m) => format!("{} to {to_m} m from walls", edge.from_m),
             None => format!("{} m and more", edge.from_m),
         };
-        // Writing to a String cannot fail.
         let (mae_m, mean_m, share) = (edge.errors.mae_m, edge.mean_m, 100.0 * edge.share_of_error);
         text +=
             &format!("ground {distance:<23} MAE {mae_m:>6.3} m, mean {mean_m:>+6.3} m, {share:>4.1} % of the error\n");

@@ -68,15 +68,15 @@ fn views(measured: &Folder, model: &ObjectModel) -> Markup {
     let held_out: Vec<_> = images.filter(|image| image.split == Split::Test).collect();
     let pairs = held_out.iter().step_by(held_out.len().div_ceil(VIEWS).max(1));
     let figures = html! {
-            @for image in pairs {
-                @if let Some(pair) = measured.picture(&format!("views/{}.png", file_name(&image.name))) {
-    @let captions = [format!("{}: image", image.name), "rendering".to_owned()];
-    @for (half, caption) in panels(&pair, pair.width() / 2).into_iter().zip(captions) {
-    (figure(Some(half), VIEW_PX, &caption))
-    }
+        @for image in pairs {
+            @if let Some(pair) = measured.picture(&format!("views/{}.png", file_name(&image.name))) {
+                @let captions = [format!("{}: image", image.name), "rendering".to_owned()];
+                @for (half, caption) in panels(&pair, pair.width() / 2).into_iter().zip(captions) {
+                    (figure(Some(half), VIEW_PX, &caption))
                 }
             }
-        };
+        }
+    };
     html! {
         (gallery("Held-out images", "four", &figures))
         @if !figures.0.is_empty() { p.faint { "All are in views/." } }

@@ -26,27 +26,27 @@ pub(super) fn relit(run: &Folder) -> Markup {
     }
     let mean = &run.metrics["relit"]["mean"];
     let body = html! {
-            p.faint {
-                "Against images from above under suns that no image had. PSNR with one gain and offset per band for all suns, and with one \
-                 for each; brightness is the mean relative to the truth after the one gain; shadows are traced."
-            }
-            div.wide { table {
-                tr { th { "sun: azimuth, elevation" } th { "PSNR one gain, dB" } th { "PSNR a gain each, dB" } th { "brightness" } th { "shadow BER, %" } th { "shadow IoU" } }
-                @for sun in suns { (row(&angles(sun), sun)) }
-                (row("mean", mean))
-            } }
-            @for (place, sun) in suns.iter().enumerate().take(PICTURES_MAX) {
-                @let picture = run.picture(&format!("{PICTURES}/sun_{place}.png"));
-                @if let Some(picture) = picture {
-                    h3 { (angles(sun)) }
-                    div.four {
-    @for (panel, caption) in panels(&picture, picture.width() / PANELS.len() as u32).into_iter().zip(PANELS) {
-    (figure(Some(panel), PICTURE_PX, caption))
-    }
+        p.faint {
+            "Against images from above under suns that no image had. PSNR with one gain and offset per band for all suns, and with one \
+             for each; brightness is the mean relative to the truth after the one gain; shadows are traced."
+        }
+        div.wide { table {
+            tr { th { "sun: azimuth, elevation" } th { "PSNR one gain, dB" } th { "PSNR a gain each, dB" } th { "brightness" } th { "shadow BER, %" } th { "shadow IoU" } }
+            @for sun in suns { (row(&angles(sun), sun)) }
+            (row("mean", mean))
+        } }
+        @for (place, sun) in suns.iter().enumerate().take(PICTURES_MAX) {
+            @let picture = run.picture(&format!("{PICTURES}/sun_{place}.png"));
+            @if let Some(picture) = picture {
+                h3 { (angles(sun)) }
+                div.four {
+                    @for (panel, caption) in panels(&picture, picture.width() / PANELS.len() as u32).into_iter().zip(PANELS) {
+                        (figure(Some(panel), PICTURE_PX, caption))
                     }
                 }
             }
-        };
+        }
+    };
     section("Under suns of no image", body)
 }
 

@@ -4,54 +4,69 @@ use super::{CalibratedBand, Calibration, Gain, Quantity, Radiometry};
 use crate::read::fields::number;
 use std::collections::BTreeMap;
 
+/// The vendor's correction of one band, and the solar irradiance in it.
+struct Band {
+    band: CalibratedBand,
+    /// Radiance is `gain · count · absCalFactor / effectiveBandwidth + offset`, W m⁻² sr⁻¹ µm⁻¹.
+    gain: f64,
+    offset: f64,
+    /// W m⁻² µm⁻¹ at one astronomical unit (Thuillier 2003).
+    irradiance_w_m2_um: f64,
+}
+
+const fn band(band: CalibratedBand, gain: f64, offset: f64, irradiance_w_m2_um: f64) -> Band {
+    Band {
+        band,
+        gain,
+        offset,
+        irradiance_w_m2_um,
+    }
+}
+
 use CalibratedBand::{Blue, Green, NearInfrared, Pan, Red};
 
-/// The vendor's corrections of the bands in the order of [`GROUPS`], as `[gain, offset, irradiance]`: radiance is
-/// `gain · count · absCalFactor / effectiveBandwidth + offset`, W m⁻² sr⁻¹ µm⁻¹, and the solar irradiance in the band
-/// is in W m⁻² µm⁻¹ at one astronomical unit (Thuillier 2003).
-///
 /// M. Kuester, "Absolute Radiometric Calibration: 2016v0", DigitalGlobe 2017 (release of 6 June 2017), by `satId`.
 /// Satellites absent from the note (WorldView-4, Legion) are calibrated to radiance, without correction.
-const SATELLITES: [(&str, &[[f64; 3]]); 5] = [
-    ("WV01", &[[1.016, -1.824, 1478.62]]),
+const SATELLITES: [(&str, &[Band]); 5] = [
+    ("WV01", &[band(Pan, 1.016, -1.824, 1478.62)]),
     (
         "WV02",
         &[
-            [0.942, -2.704, 1571.36],
-            [0.988, -5.736, 2007.27],
-            [0.936, -3.546, 1829.62],
-            [0.952, -2.512, 1538.85],
-            [0.961, -3.300, 1053.21],
+            band(Pan, 0.942, -2.704, 1571.36),
+            band(Blue, 0.988, -5.736, 2007.27),
+            band(Green, 0.936, -3.546, 1829.62),
+            band(Red, 0.952, -2.512, 1538.85),
+            band(NearInfrared, 0.961, -3.300, 1053.21),
         ],
     ),
     (
         "WV03",
         &[
-            [0.950, -3.629, 1574.41],
-            [0.940, -5.809, 2004.61],
-            [0.938, -4.996, 1830.18],
-            [0.964, -3.021, 1535.33],
-            [0.961, -5.522, 1055.94],
+            band(Pan, 0.950, -3.629, 1574.41),
+            band(Blue, 0.940, -5.809, 2004.61),
+            band(Green, 0.938, -4.996, 1830.18),
+            band(Red, 0.964, -3.021, 1535.33),
+            band(NearInfrared, 0.961, -5.522, 1055.94),
         ],
     ),
     (
         "GE01",
         &[
-            [0.970, -1.926, 1610.73],
-            [1.053, -4.537, 1993.18],
-            [0.994, -4.175, 1828.83],
-            [0.998, -3.754, 1491.49],
-            [0.994, -3.870, 1022.58],
+            band(Pan, 0.970, -1.926, 1610.73),
+            band(Blue, 1.053, -4.537, 1993.18),
+            band(Green, 0.994, -4.175, 1828.83),
+            band(Red, 0.998, -3.754, 1491.49),
+            band(NearInfrared, 0.994, -3.870, 1022.58),
         ],
     ),
     (
         "QB02",
         &[
-            [0.870, -1.491, 1370.92],
-            [1.105, -2.820, 1949.59],
-            [1.071, -3.338, 1823.64],
-            [1.060, -2.954, 1553.78],
-            [1.020, -4.722, 1102.85],
+            band(Pan, 0.870, -1.491, 1370.92),
+            band(Blue, 1.105, -2.820, 1949.59),
+            band(Green, 1.071, -3.338, 1823.64),
+            band(Red, 1.060, -2.954, 1553.78),
+            band(NearInfrared, 1.020, -4.722, 1102.85),
         ],
     ),
 ];
@@ -91,13 +106,13 @@ pub fn gdal_domain(items: &BTreeMap<String, String>) -> Option<Radiometry> {
         .iter()
         .find(|(id, _)| *id == satellite)
         .map(|(_, bands)| *bands);
-    let gain = |(index, (group, of)): (usize, (&str, CalibratedBand))| {
+    let gain = |(group, of): (&str, CalibratedBand)| {
         let value = |name: &str| items.get(&format!("{group}.{name}")).copied().and_then(number);
         let per_count = value("abscalfactor")? / value("effectivebandwidth")?;
-        let known = known.and_then(|bands| bands.get(index));
-        let [gain, offset, _] = known.copied().unwrap_or([1.0, 0.0, 0.0]);
+        let known = known.and_then(|bands| bands.iter().find(|band| band.band == of));
+        let (gain, offset) = known.map_or((1.0, 0.0), |band| (band.gain, band.offset));
         let gain = Gain::new(gain * per_count, offset)?;
-        Some((of, gain.under(known.map(|[_, _, irradiance]| *irradiance))))
+        Some((of, gain.under(known.map(|band| band.irradiance_w_m2_um))))
     };
-    Calibration::radiometry(Quantity::Radiance, GROUPS.into_iter().enumerate().filter_map(gain))
+    Calibration::radiometry(Quantity::Radiance, GROUPS.into_iter().filter_map(gain))
 }
