@@ -1,8 +1,11 @@
 """Run folders and GeoTIFFs as arrays, and what xarray makes of them."""
 
+import importlib.util
+import json
 import os
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,6 +72,22 @@ def test_a_run_opens_as_arrays_on_one_grid(run):
     assert abs(run.grid_north - expected) < 0.01 and str(run.folder) in repr(run)
     with pytest.raises(heliosplat.Error, match="there are .*dsm"):
         run.raster("nothing")
+
+
+def test_footprints_are_polygons_on_the_raised_ground_of_the_run(run, tmp_path):
+    for module in ("rasterio", "scipy", "shapely"):
+        pytest.importorskip(module)
+    example = importlib.util.spec_from_file_location("footprints", Path(__file__).parents[1] / "examples" / "footprints.py")
+    footprints = importlib.util.module_from_spec(example)
+    example.loader.exec_module(footprints)
+    footprints.main(run.folder, tmp_path / "footprints.geojson")
+    found = json.loads((tmp_path / "footprints.geojson").read_text(encoding="utf-8"))["features"]
+    lon, lat, _ = run.origin
+    assert found
+    for building in found:
+        west, south = np.min(building["geometry"]["coordinates"][0], axis=0)
+        assert abs(west - lon) < 0.01 and abs(south - lat) < 0.01
+        assert building["properties"]["height_m"] > 2.5 and building["properties"]["area_m2"] >= 20
 
 
 def test_a_run_is_relit_by_the_program(run):
