@@ -21,6 +21,7 @@
 
 mod correction;
 mod drift;
+mod exchange;
 mod export;
 mod gauge;
 mod linear;
@@ -32,6 +33,7 @@ mod solution;
 mod tracks;
 
 pub use correction::{BiasModel, Correction};
+pub use exchange::{Exchange, exchange};
 pub use export::{CorrectedRpc, corrected_rpc};
 pub use gauge::{pixels_per_metre, smallest_shifts};
 pub use normal::{SHIFT_SIGMA_PX, SLOPE_SIGMA_PX};

@@ -4,7 +4,7 @@ mod common;
 
 use common::push_broom::PushBroom;
 use heliosplat_rpc::adjust::{
-    AdjustImage, AdjustOptions, Adjustment, BiasModel, Correction, Sighting, Track, adjust, corrected_rpc,
+    AdjustImage, AdjustOptions, Adjustment, BiasModel, Correction, Sighting, Track, adjust, corrected_rpc, exchange,
     pixels_per_metre, smallest_shifts,
 };
 use heliosplat_rpc::fit::fit_rpc;
@@ -425,5 +425,30 @@ fn of_several_tracks_without_a_place_the_first_is_named_on_any_number_of_threads
     let several = tracks(&[400, 1000, 1800]);
     for threads in [1, 4] {
         assert_eq!(refused(threads, &several), first);
+    }
+}
+
+#[test]
+fn exchanged_cameras_of_like_views_are_found_and_own_ones_are_not() {
+    for seed in 0..6 {
+        let mut numbers = Numbers(seed);
+        let mut truth = cameras(4);
+        // A view two degrees from the first one.
+        let mut sensor = PushBroom::over(36.9, 37.5);
+        (sensor.size, sensor.roll_rad, sensor.pitch_rad) = (SIZE, 0.27, -0.12);
+        truth.push(
+            fit_rpc(&sensor.samples(11, &[0.0, 70.0, 140.0, 210.0]))
+                .expect("fits")
+                .rpc,
+        );
+        let seen = tracks(&truth, 150, &mut |at| as_matched(&mut numbers, at));
+        let mut delivered = biased(&truth, &biases(5, &mut numbers));
+        assert_eq!(exchange(&images(&delivered), &seen, &frame()), None, "{seed}");
+        delivered.swap(0, 4);
+        // Files whose windows begin elsewhere.
+        delivered[4] = delivered[4].cropped(-300.0, 120.0);
+        let found = exchange(&images(&delivered), &seen, &frame()).expect("an exchange");
+        assert_eq!(found.images, [0, 4], "{seed}");
+        assert!(found.sigma_px[1] < found.sigma_px[0], "{found:?}");
     }
 }

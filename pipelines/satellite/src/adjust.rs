@@ -20,7 +20,9 @@ pub use vectors::ImageVectors;
 use super::error::SatelliteError;
 use super::ground::GroundViews;
 use heliosplat::Raster;
-use heliosplat_rpc::adjust::{AdjustImage, AdjustOptions, Adjustment, BiasModel, Sighting, Track, adjust};
+use heliosplat_rpc::adjust::{
+    AdjustImage, AdjustOptions, Adjustment, BiasModel, Exchange, Sighting, Track, adjust, exchange,
+};
 use heliosplat_rpc::{ImagePoint, Rpc, RpcError};
 use heliosplat_scene::Scene;
 use heliosplat_stereo::pointing::align::coarse_shifts;
@@ -57,8 +59,7 @@ pub struct AdjustInput<'a> {
     pub matching: MatchingParameters,
 }
 
-/// Adjustment of the images' pointing by tie points between them: at full resolution if `is_whole`, else at half
-/// resolution, which takes half of the time. `gsd_m` is the width of a pixel on the ground, metres.
+/// Adjustment of the images' pointing by tie points between them. `gsd_m` is the width of a pixel on the ground, metres.
 ///
 /// # Errors
 /// [`RpcError::Invalid`] when there are too few ties.
@@ -67,7 +68,6 @@ pub(super) fn adjustment_of_ties(
     rasters: &[Raster],
     matching: MatchingParameters,
     gsd_m: f64,
-    is_whole: bool,
 ) -> Result<Adjustment, RpcError> {
     let none = vec![[0.0; 2]; ground.images.len()];
     let views = ground.sweep_views(rasters, &none);
@@ -78,10 +78,7 @@ pub(super) fn adjustment_of_ties(
         cell_m: gsd_m,
         matching,
     };
-    match is_whole {
-        true => input.adjust(BiasModel::Translation, &|_| {}),
-        false => input.at_half_resolution(),
-    }
+    input.adjust(BiasModel::Translation, &|_| {})
 }
 
 impl AdjustInput<'_> {
@@ -99,7 +96,7 @@ impl AdjustInput<'_> {
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.
     pub(crate) fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<(Adjustment, Vec<Track>), RpcError> {
-        let half = self.at_half_resolution()?;
+        let (half, _) = self.at_half_resolution()?;
         progress(0.5);
         let (full, tracks) = self.round(&shifts(&half), 1, model)?;
         progress(1.0);
@@ -120,23 +117,30 @@ impl AdjustInput<'_> {
                 full.sigma_px
             );
         }
+        if let Some(exchange) = self.exchange(&tracks) {
+            tracing::warn!("{}", contradiction::of_exchange(&exchange, self.ground).message);
+        }
         Ok((full, tracks))
     }
 
-    /// The better of two adjustments at half resolution: one from the shifts of a coarse sweep, one from none.
+    /// Two images whose ties agree better with each other's cameras.
+    fn exchange(&self, tracks: &[Track]) -> Option<Exchange> {
+        let cameras = self.cameras();
+        exchange(&self.images(&cameras), tracks, self.ground.frame)
+    }
+
+    /// The better of two adjustments at half resolution with its ties: one from the shifts of a coarse sweep, one from
+    /// none.
     ///
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.
-    fn at_half_resolution(&self) -> Result<Adjustment, RpcError> {
+    fn at_half_resolution(&self) -> Result<(Adjustment, Vec<Track>), RpcError> {
         let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m, self.matching));
         let none = vec![[0.0; 2]; self.views.len()];
-        let of = |shifts: &[[f32; 2]]| {
-            self.round(shifts, 0, BiasModel::Translation)
-                .map(|(adjustment, _)| adjustment)
-        };
+        let of = |shifts: &[[f32; 2]]| self.round(shifts, 0, BiasModel::Translation);
         let (from_coarse, from_none) = (of(&coarse), of(&none));
         match (from_coarse, from_none) {
-            (Ok(a), Ok(b)) => Ok(if agreement(&a) < agreement(&b) { b } else { a }),
+            (Ok(a), Ok(b)) => Ok(if agreement(&a.0) < agreement(&b.0) { b } else { a }),
             (Ok(a), Err(_)) => Ok(a),
             (Err(_), other) => other,
         }
@@ -160,24 +164,12 @@ impl AdjustInput<'_> {
         };
         let ties = find_ties(&moved, &self.ground.request(self.cell_m, self.matching), options);
         let tracks: Vec<Track> = ties.iter().map(|tie| self.track(tie)).collect();
-        // Sightings are in pixels of the windows that were read.
-        let cameras: Vec<Rpc> = self.ground.images.iter().map(|image| image.window_rpc()).collect();
-        let images: Vec<AdjustImage> = self
-            .ground
-            .images
-            .iter()
-            .zip(&cameras)
-            .map(|(image, rpc)| AdjustImage {
-                rpc,
-                width: image.pixels.width,
-                height: image.pixels.height,
-            })
-            .collect();
+        let cameras = self.cameras();
         let options = AdjustOptions {
             model,
             ..Default::default()
         };
-        let adjustment = adjust(&images, &tracks, self.ground.frame, options)?;
+        let adjustment = adjust(&self.images(&cameras), &tracks, self.ground.frame, options)?;
         tracing::debug!(
             level,
             ties = tracks.len(),
@@ -186,6 +178,22 @@ impl AdjustInput<'_> {
             "adjustment"
         );
         Ok((adjustment, tracks))
+    }
+
+    /// Cameras as delivered, in pixels of the windows that were read, as sightings are.
+    fn cameras(&self) -> Vec<Rpc> {
+        self.ground.images.iter().map(|image| image.window_rpc()).collect()
+    }
+
+    fn images<'a>(&self, cameras: &'a [Rpc]) -> Vec<AdjustImage<'a>> {
+        let images = self.ground.images.iter().zip(cameras);
+        images
+            .map(|(image, rpc)| AdjustImage {
+                rpc,
+                width: image.pixels.width,
+                height: image.pixels.height,
+            })
+            .collect()
     }
 
     fn track(&self, tie: &Tie) -> Track {

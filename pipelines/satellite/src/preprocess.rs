@@ -354,7 +354,7 @@ fn align(
     matching: MatchingParameters,
     gsd_m: f64,
 ) -> Corrections {
-    match adjust::adjustment_of_ties(ground, rasters, matching, gsd_m, true) {
+    match adjust::adjustment_of_ties(ground, rasters, matching, gsd_m) {
         Ok(adjustment) => {
             let left_out = adjust::left_out(ground, &adjustment);
             (worth_correcting(adjust::shifts(&adjustment), align), left_out)

@@ -249,7 +249,7 @@ impl TiledSweep<'_> {
             let (rasters, _) = clear_rasters(&ground, &decisions, &vec![[0.0; 2]; images], &request);
             drop(part);
             let _part = stage("ties");
-            match adjust::adjustment_of_ties(&ground, &rasters, matching, self.survey.gsd_m, true) {
+            match adjust::adjustment_of_ties(&ground, &rasters, matching, self.survey.gsd_m) {
                 Ok(adjustment) => {
                     let shifts_px = adjust::shifts(&adjustment);
                     for contradiction in adjust::contradictions(&ground.pixels(), &adjustment) {

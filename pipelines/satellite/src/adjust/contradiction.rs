@@ -1,11 +1,11 @@
 //! Images whose tie points contradict their cameras.
 
-use super::adjustment_of_ties;
+use super::AdjustInput;
 use crate::config::{Align, SatelliteConfig};
 use crate::ground::{GroundViews, MARGIN_M};
 use crate::plan::Decisions;
 use heliosplat_grid::statistics::upper_median;
-use heliosplat_rpc::adjust::{Adjustment, FEWEST_SIGHTINGS, ImageResiduals};
+use heliosplat_rpc::adjust::{Adjustment, BiasModel, Exchange, FEWEST_SIGHTINGS, ImageResiduals};
 use heliosplat_scene::{Area, Finding, Scene, Severity, crop};
 
 /// Least share of an image's tie points that agree with the other images; fewer may agree by chance.
@@ -128,18 +128,25 @@ pub fn findings(scene: &Scene, config: &SatelliteConfig) -> Vec<Finding> {
         return Vec::new();
     }
     let rasters = ground.rasters();
-    let of_ties = |is_whole: bool| {
-        let adjustment = adjustment_of_ties(&ground, &rasters, matching, scene.gsd_m, is_whole);
-        adjustment.map_or_else(
-            |_| Vec::new(),
-            |adjustment| contradictions(&ground.pixels(), &adjustment),
-        )
+    let input = AdjustInput {
+        ground: &ground,
+        views: &ground.sweep_views(&rasters, &vec![[0.0; 2]; rasters.len()]),
+        cell_m: scene.gsd_m,
+        matching,
     };
+    let pixels = ground.pixels();
     // Half resolution passes sound scenes in half of the time; a contradiction there is confirmed at full resolution,
     // as in `dsm` and `train`.
-    if of_ties(false).is_empty() {
+    let Ok((half, ties)) = input.at_half_resolution() else {
         return Vec::new();
-    }
+    };
+    let exchanged = input.exchange(&ties).map(|exchange| of_exchange(&exchange, &ground));
+    let contradicting = match contradictions(&pixels, &half).is_empty() {
+        true => Vec::new(),
+        false => input
+            .adjust(BiasModel::Translation, &|_| {})
+            .map_or_else(|_| Vec::new(), |whole| contradictions(&pixels, &whole)),
+    };
     let finding = |contradiction: Contradiction| {
         let image = ground.images[contradiction.image];
         let is_moved = !contradiction.is_out && contradiction.moved_px > FARTHEST_PX;
@@ -158,7 +165,29 @@ pub fn findings(scene: &Scene, config: &SatelliteConfig) -> Vec<Finding> {
             message: contradiction.message(&image.name),
         }
     };
-    of_ties(true).into_iter().map(finding).collect()
+    exchanged
+        .into_iter()
+        .chain(contradicting.into_iter().map(finding))
+        .collect()
+}
+
+/// Finding about two images with each other's cameras.
+pub(super) fn of_exchange(exchange: &Exchange, ground: &GroundViews) -> Finding {
+    let images = exchange.images.map(|image| ground.images[image]);
+    let [delivered_px, exchanged_px] = exchange.sigma_px;
+    Finding {
+        code: "cameras-exchanged",
+        severity: Severity::Warning,
+        images: images.map(|image| image.name.clone()).into(),
+        files: images.map(|image| image.path.clone()).into(),
+        value: Some(delivered_px),
+        bound: Some(exchanged_px),
+        message: format!(
+            "{} and {}: tie points agree to {exchanged_px:.2} px with exchanged cameras, to {delivered_px:.2} px as they are; check that \
+             each image has its own camera",
+            images[0].name, images[1].name
+        ),
+    }
 }
 
 /// The middle of an area, at most `side_m` metres along each side.
