@@ -29,13 +29,8 @@ struct Entry {
 impl Folders {
     /// Content of a text file of at most a few megabytes; invalid UTF-8 is replaced.
     pub(super) fn text(&self, path: &Path) -> Result<Rc<str>> {
-        if let Some(text) = self.texts.borrow().get(path) {
-            return Ok(Rc::clone(text));
-        }
-        let text = bounded::read_text_lossy(path).map_err(|error| unreadable(path, &error))?;
-        let text: Rc<str> = text.into();
-        self.texts.borrow_mut().insert(path.to_owned(), Rc::clone(&text));
-        Ok(text)
+        let read = || bounded::read_text_lossy(path).map_err(|error| unreadable(path, &error));
+        remembered(&self.texts, path, || Ok(read()?.into()))
     }
 
     /// Paths of the texts that were read.
@@ -66,36 +61,38 @@ impl Folders {
 
     /// Files of a folder by their name in lower case; the first file of each name.
     pub(super) fn by_name(&self, folder: &Path) -> Result<Rc<BTreeMap<String, PathBuf>>> {
-        if let Some(known) = self.by_name.borrow().get(folder) {
-            return Ok(Rc::clone(known));
-        }
-        let mut named = BTreeMap::new();
-        for path in self.files(folder)? {
-            named.entry(file_name(&path).to_lowercase()).or_insert(path);
-        }
-        let named = Rc::new(named);
-        self.by_name.borrow_mut().insert(folder.to_owned(), Rc::clone(&named));
-        Ok(named)
+        remembered(&self.by_name, folder, || {
+            let mut named = BTreeMap::new();
+            for path in self.files(folder)? {
+                named.entry(file_name(&path).to_lowercase()).or_insert(path);
+            }
+            Ok(named.into())
+        })
     }
 
     /// The DIMAPs of a folder that list files.
     pub(super) fn dimaps(&self, folder: &Path) -> Result<Rc<Dimaps>> {
-        if let Some(known) = self.dimaps.borrow().get(folder) {
-            return Ok(Rc::clone(known));
-        }
-        let dimaps = Rc::new(Dimaps::read(folder, self.files(folder)?, |path| self.text(path))?);
-        self.dimaps.borrow_mut().insert(folder.to_owned(), Rc::clone(&dimaps));
-        Ok(dimaps)
+        let read = || Dimaps::read(folder, self.files(folder)?, |path| self.text(path));
+        remembered(&self.dimaps, folder, || Ok(read()?.into()))
     }
 
     fn entries(&self, folder: &Path) -> Result<Rc<Vec<Entry>>> {
-        if let Some(known) = self.listed.borrow().get(folder) {
-            return Ok(Rc::clone(known));
-        }
-        let entries = Rc::new(listed(folder)?);
-        self.listed.borrow_mut().insert(folder.to_owned(), Rc::clone(&entries));
-        Ok(entries)
+        remembered(&self.listed, folder, || Ok(listed(folder)?.into()))
     }
+}
+
+/// The value that is known of a path, found once.
+fn remembered<T: ?Sized>(
+    known: &RefCell<BTreeMap<PathBuf, Rc<T>>>,
+    path: &Path,
+    find: impl FnOnce() -> Result<Rc<T>>,
+) -> Result<Rc<T>> {
+    if let Some(found) = known.borrow().get(path) {
+        return Ok(Rc::clone(found));
+    }
+    let found = find()?;
+    known.borrow_mut().insert(path.to_owned(), Rc::clone(&found));
+    Ok(found)
 }
 
 fn unreadable(path: &Path, error: &std::io::Error) -> SceneError {
