@@ -209,12 +209,7 @@ mod tests {
 
     #[test]
     fn a_clipped_value_contradicts_only_what_is_darker() {
-        let seen = |values: &[f32]| Raster {
-            width: values.len(),
-            height: 1,
-            bands: 1,
-            values: values.to_vec(),
-        };
+        let seen = |values: &[f32]| Raster::of_plane(values.len(), 1, values.to_vec());
         let view = View {
             name: "a".into(),
             camera: ProjectiveCamera::nadir(0.0, 0.0, 1.0, (4, 1)),

@@ -24,6 +24,17 @@ impl Raster {
         }
     }
 
+    /// A raster of one band.
+    pub fn of_plane(width: usize, height: usize, values: Vec<f32>) -> Self {
+        let bands = 1;
+        Self {
+            width,
+            height,
+            bands,
+            values,
+        }
+    }
+
     /// Makes all bands `NaN` where `known`, one value a pixel, is `NaN`.
     pub fn blank_unknown(&mut self, known: &[f32]) {
         for band in 0..self.bands {
@@ -45,12 +56,7 @@ impl Raster {
 
     /// Plane `band` as a raster of one band.
     pub fn band(&self, band: usize) -> Self {
-        Self {
-            width: self.width,
-            height: self.height,
-            bands: 1,
-            values: self.plane(band).to_vec(),
-        }
+        Self::of_plane(self.width, self.height, self.plane(band).to_vec())
     }
 
     /// Plane `band`, row after row, to write.

@@ -136,8 +136,10 @@ pub(crate) struct Tracer<'a> {
     members: Vec<u32>,
     /// Highest point in each column, metres.
     tops_m: Vec<f64>,
-    bottom_m: f64,
-    top_m: f64,
+    /// Altitude below everything in the scene, metres of the tracer's frame.
+    pub(crate) bottom_m: f64,
+    /// Altitude above everything in the scene, metres of the tracer's frame.
+    pub(crate) top_m: f64,
 }
 
 /// Nearest primitive so far.
@@ -150,7 +152,7 @@ enum Found {
 impl<'a> Tracer<'a> {
     /// Sorts `primitives` into the columns of the terrain's own cells. Parts beyond the terrain are cut off.
     pub(crate) fn new(terrain: &'a HeightField, primitives: Primitives) -> Self {
-        let cells = terrain.cells() * terrain.cells();
+        let cells = terrain.cells * terrain.cells;
         let mut tops_m: Vec<f64> = (0..cells).map(|cell| terrain.cell_top_m(cell)).collect();
         let bounds: Vec<_> = (primitives.triangles.iter().map(Triangle::bounds))
             .chain(primitives.ellipsoids.iter().map(Ellipsoid::bounds))
@@ -184,16 +186,6 @@ impl<'a> Tracer<'a> {
             bottom_m,
             top_m,
         }
-    }
-
-    /// Altitude above everything in the scene, metres of the tracer's frame.
-    pub(crate) fn top_m(&self) -> f64 {
-        self.top_m
-    }
-
-    /// Altitude below everything in the scene, metres of the tracer's frame.
-    pub(crate) fn bottom_m(&self) -> f64 {
-        self.bottom_m
     }
 
     /// Nearest hit along a ray; `None` if the ray leaves the scene.
@@ -277,7 +269,7 @@ impl<'a> Tracer<'a> {
         let Some((mut t, t_end)) = self.clip(ray, reach_m) else {
             return;
         };
-        let n = self.terrain.cells() as i64;
+        let n = self.terrain.cells as i64;
         let mut axes = [0, 1].map(|axis| Axis::new(self.terrain, ray, axis, t));
         while t < t_end {
             let t_out = axes[0].t_next.min(axes[1].t_next).min(t_end);
@@ -298,7 +290,7 @@ impl<'a> Tracer<'a> {
 
     /// The stretch of the ray inside the scene's box.
     fn clip(&self, ray: &Ray, reach_m: f64) -> Option<(f64, f64)> {
-        let half = self.terrain.half_extent_m();
+        let half = self.terrain.half_extent_m;
         let low = Vector3::new(-half, -half, self.bottom_m);
         let high = Vector3::new(half, half, self.top_m);
         let (mut t_in, mut t_out) = (0.0f64, reach_m);
@@ -324,10 +316,10 @@ struct Axis {
 
 impl Axis {
     fn new(terrain: &HeightField, ray: &Ray, axis: usize, t: f64) -> Self {
-        let size = terrain.cell_m();
+        let size = terrain.cell_m;
         let direction = ray.direction[axis];
-        let position = (ray.origin[axis] + direction * t + terrain.half_extent_m()) / size;
-        let cell = (position.floor() as i64).clamp(0, terrain.cells() as i64 - 1);
+        let position = (ray.origin[axis] + direction * t + terrain.half_extent_m) / size;
+        let cell = (position.floor() as i64).clamp(0, terrain.cells as i64 - 1);
         let step = if direction > 0.0 { 1 } else { -1 };
         if direction == 0.0 {
             return Self {
@@ -337,7 +329,7 @@ impl Axis {
                 t_step: f64::INFINITY,
             };
         }
-        let wall = (cell + i64::from(direction > 0.0)) as f64 * size - terrain.half_extent_m();
+        let wall = (cell + i64::from(direction > 0.0)) as f64 * size - terrain.half_extent_m;
         Self {
             cell,
             step,

@@ -160,7 +160,7 @@ fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: 
 
 /// The ray with its start just above the scene: a start 600 km away would cost digits in every intersection.
 pub(crate) fn lowered(ray: &Ray, tracer: &Tracer) -> Ray {
-    let t = (tracer.top_m() - ray.origin.z) / ray.direction.z;
+    let t = (tracer.top_m - ray.origin.z) / ray.direction.z;
     Ray::new(ray.at(t), ray.direction)
 }
 

@@ -7,9 +7,12 @@ use rayon::prelude::*;
 
 /// Altitudes on a square lattice centred on the origin; each cell is cut along its rising diagonal.
 pub(crate) struct HeightField {
-    cells: usize,
-    cell_m: f64,
-    half_extent_m: f64,
+    /// Cells along one side.
+    pub(crate) cells: usize,
+    /// Side of a cell, metres.
+    pub(crate) cell_m: f64,
+    /// Half the side of the whole field, metres.
+    pub(crate) half_extent_m: f64,
     heights_m: Vec<f64>,
 }
 
@@ -32,21 +35,6 @@ impl HeightField {
             half_extent_m,
             heights_m,
         }
-    }
-
-    /// Cells along one side.
-    pub(crate) fn cells(&self) -> usize {
-        self.cells
-    }
-
-    /// Side of a cell, metres.
-    pub(crate) fn cell_m(&self) -> f64 {
-        self.cell_m
-    }
-
-    /// Half the side of the whole field, metres.
-    pub(crate) fn half_extent_m(&self) -> f64 {
-        self.half_extent_m
     }
 
     /// Lowest altitude, metres.

@@ -103,7 +103,7 @@ fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: Ban
 /// Highest surface at a place of the grid (columns and rows of cells), along the ellipsoid's normal; `None` outside of
 /// the terrain.
 pub(crate) fn look_down(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, at: [f64; 2]) -> Option<Hit> {
-    let limits_m = [scene.tracer.bottom_m() - 1.0, scene.tracer.top_m() + 1.0];
+    let limits_m = [scene.tracer.bottom_m - 1.0, scene.tracer.top_m + 1.0];
     scene.tracer.trace(&plumb_line(frame, grid, at, limits_m))
 }
 

@@ -107,14 +107,8 @@ impl TruthFolder<'_> {
             let about = "1 where the highest surface is not Lambertian: metal, membranes, solar panels";
             self.put_mask("glossy", &truth.glossy, about)?;
         }
-        let TruthGrid {
-            west_m,
-            north_m,
-            cell_m,
-            size,
-            ..
-        } = self.grid;
-        let south_m = north_m - *size as f64 * cell_m;
+        let (west_m, size, cell_m) = (self.grid.west_m, self.grid.size, self.grid.cell_m);
+        let south_m = self.grid.north_m - size as f64 * cell_m;
         self.staging
             .text("truth/dsm.txt", &format!("{west_m}\n{south_m}\n{size}\n{cell_m}\n"))
     }

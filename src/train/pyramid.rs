@@ -87,12 +87,7 @@ fn coarser(view: &View, factor: usize) -> View {
 
 /// Values of pixels as an image of one band.
 fn plane(values: &[f32], width: usize) -> Raster {
-    Raster {
-        width,
-        height: values.len() / width.max(1),
-        bands: 1,
-        values: values.to_vec(),
-    }
+    Raster::of_plane(width, values.len() / width.max(1), values.to_vec())
 }
 
 #[cfg(test)]

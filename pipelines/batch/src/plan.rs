@@ -522,12 +522,7 @@ impl Combination<'_> {
     fn unit(&self, id: String, after: &[&Unit], (bytes, seconds): (f64, f64), identity: &str, work: Work) -> Unit {
         let keys: Vec<&str> = after.iter().map(|unit| unit.key.as_str()).collect();
         let (program, keys) = (identity_of_program(), keys.join("\n"));
-        let Self {
-            deliver,
-            config,
-            inputs,
-            ..
-        } = self;
+        let (deliver, config, inputs) = (self.deliver, &self.config, self.inputs);
         Unit {
             id,
             after: after.iter().map(|unit| unit.id.clone()).collect(),

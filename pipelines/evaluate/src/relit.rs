@@ -179,12 +179,7 @@ mod tests {
     use super::*;
 
     fn row(values: &[f32]) -> Raster {
-        Raster {
-            width: values.len(),
-            height: 1,
-            bands: 1,
-            values: values.to_vec(),
-        }
+        Raster::of_plane(values.len(), 1, values.to_vec())
     }
 
     struct Sun {

@@ -128,12 +128,7 @@ mod tests {
     use super::*;
 
     fn plane(values: Vec<f32>) -> Raster {
-        Raster {
-            width: values.len(),
-            height: 1,
-            bands: 1,
-            values,
-        }
+        Raster::of_plane(values.len(), 1, values)
     }
 
     /// Errors that are twice the deviations, in either direction.

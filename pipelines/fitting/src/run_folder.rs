@@ -246,17 +246,6 @@ pub fn create_folder(path: &Path) -> Result<(), RunError> {
     std::fs::create_dir_all(path).map_err(|reason| RunError::Folder(path.to_owned(), reason))
 }
 
-/// Request of a training with its identity.
-#[derive(Debug, Clone, Copy)]
-pub struct RunRequest<'a> {
-    /// Request by the user: folder, limits, and treatment of an earlier training.
-    pub request: &'a TrainRequest,
-    /// Identity of the training, line by line: equal lines mean the same training.
-    pub identity: &'a str,
-    /// Cost of the work after training, in training steps.
-    pub steps_after: f64,
-}
-
 /// A folder in which a training begins or continues; `P` is the result of a pipeline's preprocessing.
 pub struct RunFolder<'a, P> {
     /// Start of the training, pauses not counted.
@@ -290,13 +279,13 @@ pub enum FolderState<'a, P> {
 
 impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> FolderState<'a, P> {
     /// Locks the folder of a run and reads its state. The folder is made where it is absent, so that one that cannot be
-    /// written fails before the training.
+    /// written fails before the training. `identity` states the training line by line: equal lines mean the same one.
+    /// `steps_after` is the cost of the work after training, in training steps.
     ///
     /// # Errors
     /// When another process trains there, the folder holds a training that `earlier` keeps, the checkpoint is damaged
     /// or of another training, or the folder cannot be made.
-    pub fn look(asked: RunRequest<'a>) -> Result<Self, RunError> {
-        let RunRequest { request, identity, .. } = asked;
+    pub fn look(request: &'a TrainRequest, identity: &'a str, steps_after: f64) -> Result<Self, RunError> {
         let (out, earlier) = (request.out.as_path(), request.earlier);
         let new = !out.exists();
         create_folder(out)?;
@@ -330,9 +319,7 @@ impl<'a, P: Clone + Serialize + DeserializeOwned + 'static> FolderState<'a, P> {
         };
         Ok(Self::Ready(Box::new(RunFolder {
             begun,
-            budget: request
-                .time_budget
-                .map(|limit| Budget::new(begun, limit, asked.steps_after)),
+            budget: (request.time_budget).map(|limit| Budget::new(begun, limit, steps_after)),
             checkpoints: CheckpointWriter::new(out, identity, request.checkpoint_every, begun),
             checkpoint,
             closing,

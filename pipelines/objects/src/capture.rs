@@ -99,12 +99,8 @@ impl Capture {
     /// [`CaptureError`] with the file at fault, also where the images need more memory or no camera looks at a common
     /// point.
     pub fn open(path: &Path, image_bytes: u64) -> Result<Self, CaptureError> {
-        let Listing {
-            specs,
-            points,
-            warnings,
-        } = list(path)?;
-        let sizes = specs.par_iter().map(|(spec, _)| pixels::size_px(&spec.path));
+        let listing = list(path)?;
+        let sizes = listing.specs.par_iter().map(|(spec, _)| pixels::size_px(&spec.path));
         let sizes: Vec<[usize; 2]> = sizes.collect::<Result<_, _>>()?;
         let needed: u64 = sizes.iter().map(|[cols, rows]| 4 * 4 * (cols * rows) as u64).sum();
         if needed > image_bytes {
@@ -116,14 +112,13 @@ impl Capture {
                 gib(image_bytes)
             )));
         }
-        let frames: Vec<Frame> = specs
-            .into_par_iter()
+        let frames: Vec<Frame> = (listing.specs.into_par_iter())
             .zip(sizes)
             .map(|((spec, split), size_px)| frame(spec, split, size_px))
             .collect::<Result<_, _>>()?;
         let mut capture = Self::of_frames(path, frames)?;
-        capture.points = points;
-        capture.warnings.extend(warnings);
+        capture.points = listing.points;
+        capture.warnings.extend(listing.warnings);
         Ok(capture)
     }
 

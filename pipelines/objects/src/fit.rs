@@ -4,7 +4,7 @@ use super::capture::{Capture, Frame};
 use super::config::ObjectConfigs;
 use super::model::{self, ObjectModel};
 use super::plan::{self, Plan};
-use super::prepare::{self, FitInput};
+use super::prepare;
 use super::{measure, views};
 use heliosplat::model::View;
 use heliosplat::timeline::stage;
@@ -71,14 +71,9 @@ pub fn fit(
     let planned = plan.parts.of(configs.of(plan.kind));
     let part = stage("start");
     let frames: Vec<&Frame> = capture.of(Split::Train).collect();
-    let FitInput {
-        kind,
-        preparation,
-        parameters,
-        bounds,
-        how,
-    } = prepare::input(capture, plan.kind, &planned, &frames);
-    tracing::info!("start: {} Gaussians {how}", grouped(parameters.gaussians.count));
+    let input = prepare::input(capture, plan.kind, &planned, &frames);
+    let (kind, preparation, parameters) = (input.kind, input.preparation, input.parameters);
+    tracing::info!("start: {} Gaussians {}", grouped(parameters.gaussians.count), input.how);
     let scene_model = kind.model();
     let views: Vec<View> = frames
         .iter()
@@ -93,7 +88,7 @@ pub fn fit(
     drop(part);
     let part = stage("train");
     let prepared = begun.elapsed();
-    let mut trainer = Trainer::new(&*scene_model, views, parameters, options, bounds, None)?;
+    let mut trainer = Trainer::new(&*scene_model, views, parameters, options, input.bounds, None)?;
     if let Some(checkpoint) = checkpoint {
         tracing::info!(
             "Training continues after step {} of {steps}",
@@ -115,7 +110,7 @@ pub fn fit(
             file,
         },
         plan,
-        start: how,
+        start: input.how,
         started,
         iterations: trained.early_stop.steps,
         rejected: trained.rejected,

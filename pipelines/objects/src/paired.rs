@@ -81,12 +81,7 @@ impl Gain {
 
     /// Gain and standard error as text, such as `+0.31 ± 0.05 dB`.
     pub fn in_words(&self) -> String {
-        let &Self {
-            gain_db,
-            standard_error_db,
-            ..
-        } = self;
-        format!("{gain_db:+.2} ± {standard_error_db:.2} dB")
+        format!("{:+.2} ± {:.2} dB", self.gain_db, self.standard_error_db)
     }
 }
 

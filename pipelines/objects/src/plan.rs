@@ -187,11 +187,7 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
         trials.compare("scattering", (kind, with), None)?;
         progress.set(3);
     }
-    let Trials {
-        best: ((kind, parts), _),
-        trials,
-        ..
-    } = trials;
+    let (((kind, parts), _), trials) = (trials.best, trials.trials);
     let verdicts: Vec<String> = trials.iter().map(in_words).collect();
     Ok(Plan {
         kind,

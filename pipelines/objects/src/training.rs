@@ -15,7 +15,7 @@ use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, identity_of_training};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
 use heliosplat_fitting::run_folder::{
-    FolderState, Input, RunError, RunFolder, RunRequest, create_folder, hash, peak_rss_bytes, resident_bytes,
+    FolderState, Input, RunError, create_folder, hash, peak_rss_bytes, resident_bytes,
 };
 use heliosplat_fitting::training::Ending;
 use heliosplat_session::Session;
@@ -83,29 +83,25 @@ pub fn train(
     configs.limit(most);
     let inputs = hashes(&capture)?;
     let identity = identity(request, &configs, &capture, &inputs)?;
-    let folder = match FolderState::<Plan>::look(RunRequest {
-        request,
-        identity: &identity,
-        steps_after: steps_of_products(capture.frames.len()),
-    })? {
+    let folder = match FolderState::<Plan>::look(request, &identity, steps_of_products(capture.frames.len()))? {
         FolderState::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
         FolderState::Ready(folder) => *folder,
     };
     drop(part);
-    let RunFolder {
-        begun,
-        budget,
-        checkpoints,
-        checkpoint,
-        closing,
-    } = folder;
     let steps = configs.lit.train.iterations as f64;
     let _whole = session.whole(
         "train",
         &[("plan", 0.4 * steps), ("train", steps), ("products", 0.1 * steps)],
     );
-    let fitted = fit::fit(&capture, &configs, session, budget, checkpoints, checkpoint);
-    let (closing, fitted) = closing.after(fitted)?;
+    let fitted = fit::fit(
+        &capture,
+        &configs,
+        session,
+        folder.budget,
+        folder.checkpoints,
+        folder.checkpoint,
+    );
+    let (closing, fitted) = folder.closing.after(fitted)?;
     if fitted.ending == Ending::Interrupted {
         fitted.ending.check(out)?;
     }
@@ -128,7 +124,7 @@ pub fn train(
     create_folder(&pictures)?;
     let mut metrics = measure::metrics(&fitted.model, &capture, Some(&pictures))?;
     drop(part);
-    add_fit(&mut metrics, &fitted, begun.elapsed().as_secs_f64());
+    add_fit(&mut metrics, &fitted, folder.begun.elapsed().as_secs_f64());
     let lock = closing.finish(&mut metrics, &fitted.ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model: TrainedObject {

@@ -5,7 +5,7 @@
 use super::capture::{Capture, Frame};
 use super::config::{ModelKind, ObjectConfig, Parts};
 use super::paired::{Gain, Piece};
-use super::prepare::{self, FitInput};
+use super::prepare;
 use heliosplat::model::View;
 use heliosplat::render::{PassOptions, render};
 use heliosplat::train::Trainer;
@@ -78,19 +78,13 @@ pub(super) fn fit(
     let all: Vec<&Frame> = capture.of(Split::Train).collect();
     let kept = |n: usize| n % ASIDE == ASIDE / 2;
     let frames: Vec<&Frame> = (0..all.len()).filter(|&n| !kept(n)).map(|n| all[n]).collect();
-    let FitInput {
-        kind,
-        preparation,
-        parameters,
-        bounds,
-        ..
-    } = prepare::input(capture, kind, &config, &frames);
-    let model = kind.model();
+    let input = prepare::input(capture, kind, &config, &frames);
+    let (model, preparation) = (input.kind.model(), input.preparation);
     let view = |frame: &Frame, n: usize| Some(smaller(super::views::view(frame, capture.centre, &preparation, n)?));
     let views: Vec<View> = frames.iter().enumerate().filter_map(|(n, f)| view(f, n)).collect();
     let mut options = config.train.clone();
     options.gsd_m = (SMALLER as f64 * capture.pixel_size) as f32;
-    let mut trainer = Trainer::new(&*model, views, parameters, options, bounds, None)?;
+    let mut trainer = Trainer::new(&*model, views, input.parameters, options, input.bounds, None)?;
     let begun = Instant::now();
     while !trainer.finished() {
         trainer.step()?;

@@ -460,12 +460,7 @@ impl StreamedDsm {
             Some(geoid) => &geoid.compound(&grid.crs)?,
             None => &grid.crs,
         };
-        let without_values = Raster {
-            width: grid.width,
-            height: grid.height,
-            bands: 1,
-            values: Vec::new(),
-        };
+        let without_values = Raster::of_plane(grid.width, grid.height, Vec::new());
         let file = |band: usize| {
             let spec = ImageSpec {
                 band_descriptions: &BANDS[band..=band],

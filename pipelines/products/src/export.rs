@@ -191,14 +191,14 @@ impl Subject {
     pub fn frame(&self) -> &LocalFrame {
         match self {
             Self::Run(model) => &model.frame,
-            Self::Mosaic(mosaic) => mosaic.frame(),
+            Self::Mosaic(mosaic) => &mosaic.frame,
         }
     }
 
     fn folder(&self) -> &Path {
         match self {
             Self::Run(model) => &model.folder,
-            Self::Mosaic(mosaic) => mosaic.folder(),
+            Self::Mosaic(mosaic) => &mosaic.folder,
         }
     }
 

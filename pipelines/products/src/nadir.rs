@@ -90,14 +90,10 @@ impl NadirGrid {
         let (lon_deg, lat_deg) = CrsTransform::to_lon_lat(&grid.crs)?.apply(x, y)?;
         let frame = LocalFrame::new(GeoPoint::new(lon_deg, lat_deg, low));
         let cell_m = grid.transform.pixel_size().0 * grid.crs.metres_per_unit();
+        let [wide_m, high_m] = sides.map(|cells| cells * cell_m);
         let place = GroundExtent {
             frame,
-            area: Area {
-                west_m: -sides[0] * cell_m,
-                south_m: -sides[1] * cell_m,
-                east_m: sides[0] * cell_m,
-                north_m: sides[1] * cell_m,
-            },
+            area: Area::new([-wide_m, -high_m, wide_m, high_m]),
             altitude_range_m: (low, high),
         };
         Ok((Self::on(&place, grid)?, frame))

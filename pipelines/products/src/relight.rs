@@ -192,12 +192,7 @@ pub(crate) fn light_of(model: &LoadedModel, sun: &SunPosition) -> Result<Light, 
 }
 
 fn visibility_of(model: &LoadedModel, maps: &Maps) -> Raster {
-    Raster {
-        width: maps.width,
-        height: maps.height,
-        bands: 1,
-        values: model.model.sunlit(maps),
-    }
+    Raster::of_plane(maps.width, maps.height, model.model.sunlit(maps))
 }
 
 /// Weight of the visibility over the surface model under a sun of this elevation, degrees.

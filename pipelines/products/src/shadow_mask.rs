@@ -96,12 +96,7 @@ mod tests {
     use super::*;
 
     fn row(values: &[f32]) -> Raster {
-        Raster {
-            width: values.len(),
-            height: 1,
-            bands: 1,
-            values: values.to_vec(),
-        }
+        Raster::of_plane(values.len(), 1, values.to_vec())
     }
 
     /// A row whose left half lies in shadow by the trace; surfaces of brightness `albedo`, a third of it from the sky.

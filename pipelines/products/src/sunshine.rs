@@ -78,16 +78,15 @@ pub fn sunshine(nadir: &NadirGrid, altitude_m: &Raster, place: GeoPoint, period:
             }
         });
     }
-    let raster = |value: &(dyn Fn(usize, &Gathered) -> f64 + Sync)| Raster {
-        width: altitude_m.width,
-        height: altitude_m.height,
-        bands: 1,
-        values: (gathered.iter().enumerate())
+    let raster = |value: &(dyn Fn(usize, &Gathered) -> f64 + Sync)| {
+        let values = gathered
+            .iter()
+            .enumerate()
             .map(|(cell, sum)| match facets.is_known(cell) {
                 true => value(cell, sum) as f32,
                 false => f32::NAN,
-            })
-            .collect(),
+            });
+        Raster::of_plane(altitude_m.width, altitude_m.height, values.collect())
     };
     Sunshine {
         sun_hours: raster(&|_, sum| sum.hours / suns.days()),
@@ -95,7 +94,7 @@ pub fn sunshine(nadir: &NadirGrid, altitude_m: &Raster, place: GeoPoint, period:
         irradiation: raster(&|cell, sum| {
             let normal = facets.normal(cell);
             let beam: f64 = normal.iter().zip(sum.beam_wh_m2).map(|(n, b)| n * b).sum();
-            (beam.max(0.0) + suns.diffuse_wh_m2() * sum.sky_view.clamp(0.0, 1.0)) / 1000.0
+            (beam.max(0.0) + suns.diffuse_wh_m2 * sum.sky_view.clamp(0.0, 1.0)) / 1000.0
         }),
     }
 }

@@ -64,12 +64,7 @@ pub fn render_view(model: &LoadedModel, image: &ModelImage, truth: Option<&Raste
     let (shown, options) = (&model.parameters, model.pass_options());
     let seen = render(&model.model, shown, &camera, light, appearance, options);
     let (mut colours, maps) = (seen.image, seen.maps);
-    let mut traced = Raster {
-        width: camera.width,
-        height: camera.height,
-        bands: 1,
-        values: model.model.sunlit(&maps),
-    };
+    let mut traced = Raster::of_plane(camera.width, camera.height, model.model.sunlit(&maps));
     let sunlight = model.model.visibility(&maps);
     let mut colour = Colouring::Own;
     if image.appearance.is_none() && image.same_day.is_some() {

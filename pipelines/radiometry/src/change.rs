@@ -119,11 +119,7 @@ impl Shadows {
     /// Log-likelihood ratio for the darkness around some cells: two states that change on a day, against the better of
     /// the two on all dates. `None` where no date shows ground on which they differ.
     fn likelihood(&self, states: &States) -> Option<f32> {
-        let States {
-            cells,
-            altitudes_m,
-            day,
-        } = *states;
+        let (cells, altitudes_m, day) = (states.cells, states.altitudes_m, states.day);
         let states = [0, 1].map(|state: usize| {
             let mut altitude_m = self.altitude_m.clone();
             for (&cell, altitudes) in cells.iter().zip(altitudes_m) {

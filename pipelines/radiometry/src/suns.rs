@@ -278,11 +278,7 @@ fn elevations(low: f64, high: f64, step: f64) -> Vec<f64> {
 
 /// The sun around the best of the coarse search, with its deviation and its margin over the best elsewhere.
 fn refine(relief: &Relief, cells: &[usize], samples: &[CellDarkness], sky: &Sky) -> Option<ShadowSun> {
-    let Candidate {
-        azimuth_deg,
-        elevation_deg,
-        ..
-    } = sky.best;
+    let (azimuth_deg, elevation_deg) = (sky.best.azimuth_deg, sky.best.elevation_deg);
     let step = FINE_DEG / FINE_STEPS as f64;
     // Degrees of azimuth per degree of arc; near the zenith the azimuth matters little.
     let widen = (1.0 / elevation_deg.to_radians().cos()).min(6.0);

@@ -146,13 +146,8 @@ impl FitRequest<'_> {
 
     /// Swept surface, and suns estimated from its shadows: the `kept` results, if they are of this scene.
     fn prepare(&self, kept: Option<Preprocessed>) -> Result<Preprocess<'_>, SatelliteError> {
-        let &Self {
-            scene,
-            config,
-            decisions,
-            session,
-            ..
-        } = self;
+        let (scene, config) = (self.scene, self.config);
+        let (decisions, session) = (self.decisions, self.session);
         if let Some(kept) = kept
             && let Some(swept) = Preprocess::again(scene, kept)?
         {
@@ -224,11 +219,8 @@ impl FitRequest<'_> {
     /// Initialises the albedo of the Gaussians and the colours of the images.
     fn colour(&self, start: &mut Start) -> Colours {
         let _part = stage("colours");
-        let InitialState {
-            model,
-            parameters,
-            views,
-        } = &mut start.initial;
+        let initial = &mut start.initial;
+        let (model, parameters, views) = (&initial.model, &mut initial.parameters, &mut initial.views);
         let shades = colours::initialise(model, parameters, views, SKY);
         let one_light = OneLight::of(&start.suns, model.options.reference);
         if let Some(light) = &one_light {
@@ -248,11 +240,8 @@ impl FitRequest<'_> {
         state: Option<TrainerState>,
     ) -> Result<Trained, SatelliteError> {
         let _part = stage("train");
-        let InitialState {
-            model,
-            parameters,
-            views,
-        } = &mut start.initial;
+        let initial = &mut start.initial;
+        let (model, parameters, views) = (&initial.model, &mut initial.parameters, &mut initial.views);
         let (parameters, mut views) = (std::mem::take(parameters), std::mem::take(views));
         if start.decisions.only_known_suns {
             initial_state::keep_known_suns(&mut views);

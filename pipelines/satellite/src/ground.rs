@@ -156,14 +156,8 @@ impl<'a> GroundViews<'a> {
         let index = |(image, raster): (&&SceneImage, &Raster)| {
             let index = image.vegetation_index()?;
             let plane = raster.plane_len();
-            Some(Raster {
-                width: raster.width,
-                height: raster.height,
-                bands: 1,
-                values: (0..plane)
-                    .map(|pixel| index.of(|band| raster.values[band * plane + pixel]))
-                    .collect(),
-            })
+            let values = (0..plane).map(|pixel| index.of(|band| raster.values[band * plane + pixel]));
+            Some(Raster::of_plane(raster.width, raster.height, values.collect()))
         };
         self.images.iter().zip(rasters).map(index).collect()
     }

@@ -140,22 +140,17 @@ impl<'a> Preprocess<'a> {
         let mut rasters = self.ground.rasters();
         let clouded = rasters.iter_mut().zip(&self.found.clouds);
         clouded.for_each(|(raster, mask)| clouds::blank(raster, mask));
-        let Preprocessed {
-            surface,
-            changes: changed,
-            lowered,
-            shifts_px,
-            seconds,
-            ..
-        } = &mut self.found;
+        let found = &mut self.found;
+        let shifts_px = &found.shifts_px;
         let _part = stage("sweep");
         let progress = session.progress("sweep again", 100);
-        *surface = sweep(&self.ground, &rasters, shifts_px, decisions, &request, &|share| {
+        found.surface = sweep(&self.ground, &rasters, shifts_px, decisions, &request, &|share| {
             progress.set((100.0 * share) as u64);
         });
-        *changed = changes(&self.ground, &rasters, shifts_px, decisions, &request, surface);
-        *lowered = lower(&self.ground, &rasters, shifts_px, surface, changed).inspect(log_lowered);
-        seconds[1] += started.elapsed().as_secs_f64();
+        let surface = &mut found.surface;
+        found.changes = changes(&self.ground, &rasters, shifts_px, decisions, &request, surface);
+        found.lowered = lower(&self.ground, &rasters, shifts_px, surface, &mut found.changes).inspect(log_lowered);
+        found.seconds[1] += started.elapsed().as_secs_f64();
         true
     }
 

@@ -38,11 +38,8 @@ pub(super) fn altitudes(
     tracing::info!("Short training to estimate the suns from shadows on a better surface");
     let Preprocess { ground, found } = swept;
     let (suns, decisions) = suns::decided(scene, ground, &found.shadow_suns, decisions);
-    let InitialState {
-        model,
-        mut parameters,
-        mut views,
-    } = InitialState::new(ground, found, &suns, &decisions, config)?;
+    let initial = InitialState::new(ground, found, &suns, &decisions, config)?;
+    let (model, mut parameters, mut views) = (initial.model, initial.parameters, initial.views);
     let mut options = initial_state::train_options(config, scene, views.len());
     options.iterations = options.iterations.min(STEPS);
     options.patience = 0;

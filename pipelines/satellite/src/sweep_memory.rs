@@ -64,16 +64,10 @@ impl SweepModel {
 
     /// Largest memory of the process during the sweep, bytes.
     pub(super) fn bytes(&self, extent: &SweepExtent) -> f64 {
-        let SweepExtent {
-            cells,
-            map_cells,
-            pixels,
-            largest,
-        } = *extent;
-        let read = BYTES_PER_PIXEL_AND_BAND * self.bands as f64 * pixels;
-        let search = search_bytes(cells, self.levels, pixels);
-        let reading = BYTES_PER_PIXEL_READ * largest;
-        let writing = BYTES_PER_CELL * cells + BYTES_PER_MAP_CELL * map_cells;
+        let read = BYTES_PER_PIXEL_AND_BAND * self.bands as f64 * extent.pixels;
+        let search = search_bytes(extent.cells, self.levels, extent.pixels);
+        let reading = BYTES_PER_PIXEL_READ * extent.largest;
+        let writing = BYTES_PER_CELL * extent.cells + BYTES_PER_MAP_CELL * extent.map_cells;
         PROGRAM_BYTES + READING_BYTES + SPARE * (read + search.max(reading).max(writing))
     }
 }

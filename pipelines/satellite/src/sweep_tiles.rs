@@ -151,18 +151,14 @@ impl<'a> Cutter<'a> {
         let grid = GridSpec::covering(survey.frame(), rectangle, &crs, gsd_m)?;
         let searched = volume(&crop::grown(area, MARGIN_M), (0.0, 0.0), cell_m);
         let on_lattice = |at: f32| (f64::from(at) / cell_m).round() * cell_m;
+        let edges = [searched.west_m, searched.south_m, searched.east_m, searched.north_m];
         Ok(Self {
             model: SweepModel::of(survey, cell_m),
             to_lon_lat: CrsTransform::to_lon_lat(&grid.crs)?,
             survey,
             cell_m,
             grid,
-            whole: Area {
-                west_m: on_lattice(searched.west_m),
-                south_m: on_lattice(searched.south_m),
-                east_m: on_lattice(searched.east_m),
-                north_m: on_lattice(searched.north_m),
-            },
+            whole: Area::new(edges.map(on_lattice)),
         })
     }
 
@@ -234,21 +230,15 @@ impl<'a> Cutter<'a> {
                 }
             }
         }
-        let Area {
-            west_m,
-            south_m,
-            east_m,
-            north_m,
-            ..
-        } = self.whole;
+        let whole = self.whole;
         let (rim_m, lattice_m) = (RIM_CELLS * self.cell_m, LATTICE * self.cell_m);
         let down = |from: f64, v: f64| from + ((v - from) / lattice_m).floor() * lattice_m;
         let up = |from: f64, v: f64| from + ((v - from) / lattice_m).ceil() * lattice_m;
         let area = Area {
-            west_m: down(west_m, low[0] - rim_m).max(west_m),
-            south_m: down(north_m, low[1] - rim_m).max(south_m),
-            east_m: up(west_m, high[0] + rim_m).min(east_m),
-            north_m: up(north_m, high[1] + rim_m).min(north_m),
+            west_m: down(whole.west_m, low[0] - rim_m).max(whole.west_m),
+            south_m: down(whole.north_m, low[1] - rim_m).max(whole.south_m),
+            east_m: up(whole.west_m, high[0] + rim_m).min(whole.east_m),
+            north_m: up(whole.north_m, high[1] + rim_m).min(whole.north_m),
         };
         let inside = area.east_m - area.west_m >= lattice_m && area.north_m - area.south_m >= lattice_m;
         Ok(inside.then_some(area))

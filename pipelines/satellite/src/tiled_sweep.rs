@@ -296,16 +296,11 @@ impl TiledSweep<'_> {
         let SweepTiling { whole, size, .. } = self.tiling;
         let (wide_m, high_m) = (whole.east_m - whole.west_m, whole.north_m - whole.south_m);
         let half = |length_m: f64, parts: usize| 0.5 * (length_m / parts as f64).min(PATCH_CELLS * self.plan.cell_m);
-        let (half_wide, half_high) = (half(wide_m, size.1), half(high_m, size.0));
+        let (aside, along) = (half(wide_m, size.1), half(high_m, size.0));
         let whole = *whole;
         PATCHES.into_iter().map(move |[x, y]| {
             let (east, north) = (whole.west_m + x * wide_m, whole.south_m + y * high_m);
-            Area {
-                west_m: east - half_wide,
-                south_m: north - half_high,
-                east_m: east + half_wide,
-                north_m: north + half_high,
-            }
+            Area::new([east - aside, north - along, east + aside, north + along])
         })
     }
 }

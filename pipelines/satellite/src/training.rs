@@ -18,7 +18,7 @@ use heliosplat_fitting::budget::steps_of_products;
 use heliosplat_fitting::checkpoint::digest;
 use heliosplat_fitting::program::{build, identity_of_training};
 use heliosplat_fitting::request::{TrainOutcome, TrainRequest, TrainedRun};
-use heliosplat_fitting::run_folder::{FolderState, Input, RunFolder, RunRequest};
+use heliosplat_fitting::run_folder::{FolderState, Input};
 use heliosplat_fitting::training::Ending;
 use heliosplat_products::change::ChangeMap;
 use heliosplat_products::dsm::{self, Dsm};
@@ -26,7 +26,7 @@ use heliosplat_products::model::{LoadedModel, ModelChanges, ModelFile, SCHEMA};
 use heliosplat_products::nadir::NadirGrid;
 use heliosplat_radiometry::linear;
 use heliosplat_raster::{Crs, RasterError, preview};
-use heliosplat_scene::{AltitudeSource, Hashes, IngestOptions, KeptCut, Scene, SceneError, SceneImage, Values};
+use heliosplat_scene::{AltitudeSource, Hashes, IngestOptions, KeptCut, Scene, SceneError, Values};
 use heliosplat_session::Session;
 use rayon::prelude::*;
 use std::fmt::Write;
@@ -52,32 +52,22 @@ pub fn train(
     let cut = identified(scene, &request.out)?;
     let inputs = inputs_of(scene, &cut);
     let identity = identity(scene, &config, &decisions, request, &inputs)?;
-    let folder = match FolderState::look(RunRequest {
-        request,
-        identity: &identity,
-        steps_after: steps_of_products(scene.images.len()) + linear::finish_steps(scene.training().count()),
-    })? {
+    let steps_after = steps_of_products(scene.images.len()) + linear::finish_steps(scene.training().count());
+    let folder = match FolderState::look(request, &identity, steps_after)? {
         FolderState::Finished(metrics) => return Ok(TrainOutcome::FinishedBefore { metrics }),
         FolderState::Ready(folder) => *folder,
     };
     drop(part);
-    let RunFolder {
-        begun,
-        budget,
-        checkpoints,
-        checkpoint,
-        closing,
-    } = folder;
     let _whole = session.whole("train", &parts(config.train.iterations));
     let fit = FitRequest {
         scene,
         config: &config,
         decisions: &decisions,
-        budget,
+        budget: folder.budget,
         memory: request.memory,
         session,
     };
-    let (closing, mut fitted) = closing.after(fit.run(checkpoints, checkpoint))?;
+    let (closing, mut fitted) = folder.closing.after(fit.run(folder.checkpoints, folder.checkpoint))?;
     let ending = fitted.trained.ending.clone();
     if ending == Ending::Interrupted {
         ending.check(&request.out)?;
@@ -126,7 +116,7 @@ pub fn train(
     }
     drop(part);
     metrics["surface"] = serde_json::to_value(surface.facts(model.file.gsd_m)).unwrap_or_default();
-    measure::add_fit(&mut metrics, &fitted, &model, begun.elapsed().as_secs_f64());
+    measure::add_fit(&mut metrics, &fitted, &model, folder.begun.elapsed().as_secs_f64());
     let lock = closing.finish(&mut metrics, &ending)?;
     Ok(TrainOutcome::Trained(Box::new(TrainedRun {
         model,
@@ -207,16 +197,8 @@ fn identity(
         let _ = writeln!(text, "image {name} {}", input.sha256);
     }
     for image in &scene.images {
-        let SceneImage {
-            name,
-            split,
-            pinhole,
-            sun,
-            bands,
-            values,
-            ..
-        } = image;
-        let camera = format!("{split:?} {:?} {sun:?} {bands:?}", pinhole.map);
+        let (name, sun, bands, values) = (&image.name, &image.sun, &image.bands, &image.values);
+        let camera = format!("{:?} {:?} {sun:?} {bands:?}", image.split, image.pinhole.map);
         let _ = writeln!(text, "camera, sun and bands of {name} {}", digest(&camera));
         if !values.is_unknown() {
             let _ = writeln!(text, "values of {name} {values:?}");

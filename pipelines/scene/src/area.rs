@@ -135,15 +135,20 @@ pub(super) fn bounds(points: impl IntoIterator<Item = [f64; 2]>) -> [[f64; 2]; 2
 }
 
 impl Area {
-    /// Bounding rectangle of points (metres east and north).
-    pub(super) fn covering(points: impl IntoIterator<Item = [f64; 2]>) -> Self {
-        let [[west_m, south_m], [east_m, north_m]] = bounds(points);
+    /// Rectangle of its western, southern, eastern and northern edges, metres.
+    pub fn new([west_m, south_m, east_m, north_m]: [f64; 4]) -> Self {
         Self {
             west_m,
             south_m,
             east_m,
             north_m,
         }
+    }
+
+    /// Bounding rectangle of points (metres east and north).
+    pub(super) fn covering(points: impl IntoIterator<Item = [f64; 2]>) -> Self {
+        let [[west_m, south_m], [east_m, north_m]] = bounds(points);
+        Self::new([west_m, south_m, east_m, north_m])
     }
 
     /// Intersection of two areas; `None` where it is less than a metre wide.

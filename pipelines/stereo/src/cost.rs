@@ -258,7 +258,7 @@ fn contrast_limits(plane: &PixelPlane, places: &Places, block: &WideBlock, limit
     let columns = block.width + 2 * RADIUS;
     for (row, limits) in limits.chunks_mut(block.width).enumerate() {
         let start = (row + RADIUS) * columns + RADIUS;
-        for (pixel, limit) in places.nearest()[start..start + block.width].iter().zip(limits) {
+        for (pixel, limit) in places.nearest[start..start + block.width].iter().zip(limits) {
             *limit = CONTRAST_LIMIT * plane.local_contrast[*pixel as usize];
         }
     }
@@ -269,7 +269,7 @@ fn drop_hidden(hits: &FirstHits, places: &Places, block: &WideBlock, altitude_m:
     let columns = block.width + 2 * RADIUS;
     for (row, darker) in darker.chunks_mut(block.width).enumerate() {
         let start = (row + RADIUS) * columns + RADIUS;
-        for (pixel, word) in places.nearest()[start..start + block.width].iter().zip(darker) {
+        for (pixel, word) in places.nearest[start..start + block.width].iter().zip(darker) {
             // A place beyond the image is invalid already.
             if hits.hides(*pixel as usize, altitude_m) {
                 *word |= INVALID;

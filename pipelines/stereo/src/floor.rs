@@ -55,16 +55,10 @@ fn choose_again(grid: &Grid, found: &mut LevelResult, bonus: u16, parameters: &M
     }
     let tolerance = parameters.candidate_tolerance.full_resolution;
     let floor_m = floor(grid, found);
-    let LevelResult {
-        choices,
-        sums,
-        ranges,
-        heights,
-        ..
-    } = found;
-    let mut rest = sums.as_mut_slice();
+    let (ranges, heights) = (&found.ranges, &found.heights);
+    let mut rest = found.sums.as_mut_slice();
     let mut rows = Vec::with_capacity(grid.height);
-    for (row, choices) in choices.chunks_mut(grid.width).enumerate() {
+    for (row, choices) in found.choices.chunks_mut(grid.width).enumerate() {
         let cell0 = row * grid.width;
         let (sums, tail) = rest.split_at_mut(ranges.start[cell0 + choices.len()] - ranges.start[cell0]);
         rows.push((cell0, choices, sums));

@@ -95,7 +95,7 @@ impl LevelResult {
 impl<'a> Search<'a> {
     /// A search that compares brightness alone.
     pub(super) fn new(views: &'a [SweepView<'a>], request: &'a PlaneSweepRequest) -> Self {
-        let centre = request.centre();
+        let centre = request.centre;
         let geometries: Vec<ViewGeometry> = views.iter().map(SweepView::geometry).collect();
         Self {
             views,

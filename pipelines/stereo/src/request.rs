@@ -30,9 +30,4 @@ impl PlaneSweepRequest {
             cell_m: volume.cell_m,
         }
     }
-
-    /// Point at which viewing directions are taken, metres.
-    pub(super) fn centre(&self) -> Vec3 {
-        self.centre
-    }
 }

@@ -26,7 +26,7 @@ pub(super) struct Places {
     /// Fraction of the row.
     down: Vec<f32>,
     /// Index of the pixel nearest to each position; 0 outside the image.
-    nearest: Vec<u32>,
+    pub(super) nearest: Vec<u32>,
 }
 
 impl Places {
@@ -39,11 +39,6 @@ impl Places {
             down: vec![0.0; room],
             nearest: vec![0; room],
         }
-    }
-
-    /// Index of the pixel nearest to each position; 0 outside the image.
-    pub(super) fn nearest(&self) -> &[u32] {
-        &self.nearest
     }
 
     /// Sets the positions from `at` on.

@@ -142,18 +142,13 @@ impl Volume<'_> {
 
     /// One path through a chunk of columns.
     fn chunk(&self, entry: &Entry, before: &PathRow, costs: &mut [u16], least: &mut [u16], aligned: &mut Vec<u16>) {
-        let Entry {
-            row,
-            previous_row,
-            col0,
-            direction,
-        } = *entry;
+        let (row, col0) = (entry.row, entry.col0);
         let chunk_start = self.ranges.start[row * self.width + col0];
         for (k, least) in least.iter_mut().enumerate() {
             let col = col0 + k;
             let cell = row * self.width + col;
-            let from = previous_row.and_then(|r| {
-                let c = (col + direction).checked_sub(1).filter(|&c| c < self.width)?;
+            let from = entry.previous_row.and_then(|r| {
+                let c = (col + entry.direction).checked_sub(1).filter(|&c| c < self.width)?;
                 Some(r * self.width + c)
             });
             let previous = from.map(|b| {

@@ -95,31 +95,19 @@ impl HighestTiles {
 impl FirstHits {
     /// First hits of the rays of all pixels of `camera` on a surface.
     pub(super) fn new(camera: &ProjectiveCamera, surface: &Standing) -> Self {
-        let Standing {
-            grid,
-            altitude,
-            highest,
-            tolerance_m,
-        } = surface;
-        let mut hits = vec![f32::MIN; camera.width * camera.height];
-        if highest.top_m == f32::MIN {
-            // There is no surface to hit.
-            return Self {
-                altitude: hits,
-                tolerance_m: *tolerance_m,
-            };
-        }
-        hits.par_chunks_mut(camera.width.max(1))
-            .enumerate()
-            .for_each(|(row, line)| {
+        let (highest, tolerance_m) = (&surface.highest, surface.tolerance_m);
+        let mut altitude = vec![f32::MIN; camera.width * camera.height];
+        // Without a top there is no surface to hit.
+        if highest.top_m != f32::MIN {
+            let lines = altitude.par_chunks_mut(camera.width.max(1)).enumerate();
+            lines.for_each(|(row, line)| {
                 for (col, hit) in line.iter_mut().enumerate() {
-                    *hit = first_hit(camera, (col as f32, row as f32), grid, altitude, highest);
+                    let at = (col as f32, row as f32);
+                    *hit = first_hit(camera, at, &surface.grid, &surface.altitude, highest);
                 }
             });
-        Self {
-            altitude: hits,
-            tolerance_m: *tolerance_m,
         }
+        Self { altitude, tolerance_m }
     }
 
     /// True if the surface hides a point at an altitude, metres, that projects into a pixel (index in row order).

@@ -88,14 +88,11 @@ pub(super) fn winner(
     } else {
         f32::from(second - sums[best]) / f32::from(second.max(1))
     };
-    let Posterior {
-        deviation_levels,
-        probability,
-    } = Posterior::new(sums, best, fraction, alternative_cost);
+    let posterior = Posterior::new(sums, best, fraction, alternative_cost);
     HeightChoice {
         altitude_m: heights.altitude((low + best) as f32 + fraction),
-        deviation_m: heights.step_m * deviation_levels,
-        probability,
+        deviation_m: heights.step_m * posterior.deviation_levels,
+        probability: posterior.probability,
         candidates: (
             heights.altitude((low + least) as f32),
             heights.altitude((low + most) as f32),

@@ -190,34 +190,27 @@ impl<'a> BlockAdjustment<'a> {
     }
 
     /// The gauge, and the residuals before and after.
-    fn finish(&self, solution: Solution, model: BiasModel) -> Result<Adjustment, RpcError> {
-        let Solution {
-            mut corrections,
-            mut points,
-            weights,
-            sigma_px,
-            rounds,
-            converged,
-        } = solution;
-        self.fix_gauge(&mut corrections, &mut points);
-        self.triangulate(&corrections, &weights, &mut points)?;
-        let mut before = points.clone();
-        self.triangulate(&self.no_corrections(), &weights, &mut before)?;
+    fn finish(&self, mut found: Solution, model: BiasModel) -> Result<Adjustment, RpcError> {
+        self.fix_gauge(&mut found.corrections, &mut found.points);
+        self.triangulate(&found.corrections, &found.weights, &mut found.points)?;
+        let mut before = found.points.clone();
+        self.triangulate(&self.no_corrections(), &found.weights, &mut before)?;
         let sides = Sides {
             before: self.linearised(&self.no_corrections(), &before)?,
-            after: self.linearised(&corrections, &points)?,
-            sigma_px,
+            after: self.linearised(&found.corrections, &found.points)?,
+            sigma_px: found.sigma_px,
         };
+        let points = found.points.iter().map(|point| self.frame.geo_from_enu(*point));
         Ok(Adjustment {
             model,
-            points: points.iter().map(|point| self.frame.geo_from_enu(*point)).collect(),
-            sigma_px,
-            rounds,
-            converged,
+            points: points.collect(),
+            sigma_px: found.sigma_px,
+            rounds: found.rounds,
+            converged: found.converged,
             images: residuals::of_images(&sides, self.images.len()),
             pairs: residuals::of_pairs(&sides),
             residuals: residuals::vectors(&sides, &self.tracks),
-            corrections,
+            corrections: found.corrections,
         })
     }
 

@@ -26,13 +26,15 @@ pub struct Reference {
 
 /// A mosaic: its merged surface and the runs of its tiles.
 pub struct Mosaic {
-    folder: PathBuf,
+    /// Folder of the mosaic.
+    pub(super) folder: PathBuf,
     dsm: Dsm,
     albedo: Raster,
     tiles: Vec<MosaicTile>,
     reference: Option<Reference>,
     nadir: NadirGrid,
-    frame: LocalFrame,
+    /// Local frame of the mosaic.
+    pub(super) frame: LocalFrame,
 }
 
 impl Mosaic {
@@ -61,16 +63,6 @@ impl Mosaic {
             nadir,
             frame,
         })
-    }
-
-    /// Folder of the mosaic.
-    pub(super) fn folder(&self) -> &Path {
-        &self.folder
-    }
-
-    /// Local frame of the mosaic.
-    pub(super) fn frame(&self) -> &LocalFrame {
-        &self.frame
     }
 
     /// Splats of all tiles under `sun`, or under the sun of the first tile's reference image.

@@ -71,7 +71,8 @@ pub(super) struct Suns {
     days: i64,
     /// Of each sector: tangents of elevations from high to low, and the sunshine summed down to each.
     sectors: Vec<Vec<(f64, Seen)>>,
-    diffuse_wh_m2: f64,
+    /// Diffuse irradiation of level ground under the whole sky over the period, Wh/m².
+    pub(super) diffuse_wh_m2: f64,
 }
 
 impl Suns {
@@ -114,11 +115,6 @@ impl Suns {
     /// Number of days.
     pub(super) fn days(&self) -> f64 {
         self.days as f64
-    }
-
-    /// Diffuse irradiation of level ground under the whole sky over the period, Wh/m².
-    pub(super) fn diffuse_wh_m2(&self) -> f64 {
-        self.diffuse_wh_m2
     }
 
     /// Sunshine in a sector above a horizon, given as the tangent of its elevation.

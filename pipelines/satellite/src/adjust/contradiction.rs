@@ -35,18 +35,13 @@ pub(crate) struct Contradiction {
 impl Contradiction {
     /// One line with image, figures and remedy.
     pub(crate) fn message(&self, name: &str) -> String {
-        let Self {
-            good,
-            sightings,
-            moved_px,
-            ..
-        } = self;
+        let (good, sightings, moved_px) = (self.good, self.sightings, self.moved_px);
         match self.is_out {
             true => format!(
                 "{name}: its camera contradicts the others ({good} good tie points of {sightings}), and it is left out; give the camera of \
                  these pixels"
             ),
-            false if *moved_px > FARTHEST_PX => format!(
+            false if moved_px > FARTHEST_PX => format!(
                 "{name}: its camera had to be moved by {moved_px:.1} px, more than the {FARTHEST_PX:.0} px that cameras of vendors are off; \
                  is it the camera of this image?"
             ),
@@ -192,13 +187,8 @@ pub(super) fn of_exchange(exchange: &Exchange, ground: &GroundViews) -> Finding 
 
 /// The middle of an area, at most `side_m` metres along each side.
 fn middle(area: Area, side_m: f64) -> Area {
-    let [half_wide, half_high] =
-        [area.east_m - area.west_m, area.north_m - area.south_m].map(|length_m| length_m.min(side_m) / 2.0);
+    let lengths_m = [area.east_m - area.west_m, area.north_m - area.south_m];
+    let [wide_m, high_m] = lengths_m.map(|length_m| length_m.min(side_m) / 2.0);
     let (east, north) = ((area.east_m + area.west_m) / 2.0, (area.north_m + area.south_m) / 2.0);
-    Area {
-        west_m: east - half_wide,
-        south_m: north - half_high,
-        east_m: east + half_wide,
-        north_m: north + half_high,
-    }
+    Area::new([east - wide_m, north - high_m, east + wide_m, north + high_m])
 }

@@ -9,7 +9,6 @@ use super::super::pyramid::Search;
 use super::super::views::SweepView;
 use super::super::visibility::{FirstHits, Standing};
 use super::{FACTOR, FEWEST_VIEWS};
-use heliosplat::Raster;
 use heliosplat_grid::Grid;
 use heliosplat_grid::statistics::upper_median;
 use rayon::prelude::*;
@@ -129,12 +128,7 @@ fn ortho_of_band(
     altitude: &[f32],
     hits: &FirstHits,
 ) -> Vec<f32> {
-    let plane = Raster {
-        width: view.image.width,
-        height: view.image.height,
-        bands: 1,
-        values: view.image.plane(band).to_vec(),
-    };
+    let plane = view.image.band(band);
     let of_band = SweepView { image: &plane, ..*view };
     let level = LevelView::new(&of_band, grid.cell_m, search.centre, false);
     let mut values = ortho::ortho(grid, &level, altitude);

@@ -44,7 +44,7 @@ pub fn coarse_shifts(views: &[SweepView], request: &PlaneSweepRequest) -> Vec<[f
             for (shift, step) in shifts.iter_mut().zip(steps) {
                 *shift += step;
             }
-            remove_translation(views, request.centre(), &mut shifts);
+            remove_translation(views, request.centre, &mut shifts);
         }
     }
     shifts.iter().map(|shift| [shift.x as f32, shift.y as f32]).collect()
