@@ -27,10 +27,11 @@ impl Default for StartOptions {
 }
 
 /// Correction of the images' relative pointing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Align {
     /// Estimate, and correct if an image is off by more than a tenth of a pixel.
+    #[default]
     Auto,
     /// Estimate and correct.
     On,
@@ -43,7 +44,7 @@ pub enum Align {
 pub(super) const THRESHOLD_PX: f32 = 0.1;
 
 /// Options of the cameras.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CameraOptions {
     /// Correction of the relative pointing, from tie points and a robust adjustment: `off` for cameras that were
@@ -55,16 +56,6 @@ pub struct CameraOptions {
     /// Names of images that are left out because known ties contradict their cameras.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<String>,
-}
-
-impl Default for CameraOptions {
-    fn default() -> Self {
-        Self {
-            align: Align::Auto,
-            shifts_px: BTreeMap::new(),
-            left_out: Vec::new(),
-        }
-    }
 }
 
 /// Components of the satellite model. The plan decides those that are not set.
