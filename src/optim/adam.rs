@@ -5,8 +5,10 @@ use rayon::prelude::*;
 
 /// Default decay of the first moment per step (Kingma and Ba 2015).
 pub const BETA1: f32 = 0.9;
-const BETA2: f32 = 0.999;
-const EPSILON: f32 = 1e-15;
+/// Decay of the second moment per step.
+pub const BETA2: f32 = 0.999;
+/// Added to the root of the second moment.
+pub const EPSILON: f32 = 1e-15;
 
 /// First and second moments of one table.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]

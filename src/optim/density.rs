@@ -67,9 +67,9 @@ impl Default for DensityOptions {
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DensityStatistics {
     /// Sum of the lengths of the 2-D positional gradients, per pixel.
-    gradient: Vec<f32>,
+    pub gradient: Vec<f32>,
     /// Number of views that saw each Gaussian.
-    seen: Vec<u32>,
+    pub seen: Vec<u32>,
 }
 
 /// Relation of a rebuilt table to the old one.

@@ -3,6 +3,7 @@
 //! Views, options and the random order follow from the inputs and are not part of it. A state is plain data for serde;
 //! its file format is defined elsewhere.
 
+use super::cpu::Cpu;
 use super::holdout::HoldoutState;
 use super::{StepState, Trainer};
 use crate::gaussians::Table;
@@ -62,9 +63,9 @@ impl Trainer<'_> {
             density_cap: self.options.density.cap,
             now: Cow::Borrowed(&self.now),
             holdout: Cow::Borrowed(&self.holdout.now),
-            occluders: self.occluders.as_ref().map(|occluders| {
+            occluders: self.cpu.occluders.as_ref().map(|occluders| {
                 let built_on = occluders.hierarchy_built_on().map(Cow::Borrowed);
-                (self.occluders_step, built_on)
+                (self.cpu.occluders_step, built_on)
             }),
         }
     }
@@ -79,11 +80,11 @@ impl Trainer<'_> {
         self.options.density.cap = state.density_cap;
         self.now = state.now.into_owned();
         self.holdout.now = state.holdout.into_owned();
-        self.gradients = self.now.parameters.zeros_like();
-        self.occluders_step = 0;
-        self.occluders = state.occluders.map(|(step, built_on)| {
-            self.occluders_step = step;
-            let (by, gaussians) = (self.options.sun_visibility, &self.now.parameters.gaussians);
+        self.moved = true;
+        self.cpu = Cpu::new(&self.now.tables.parameters);
+        self.cpu.occluders = state.occluders.map(|(step, built_on)| {
+            self.cpu.occluders_step = step;
+            let (by, gaussians) = (self.options.sun_visibility, &self.now.tables.parameters.gaussians);
             match built_on {
                 Some(bounds) => Occluders::with_hierarchy_on(by, gaussians, bounds.into_owned()),
                 None => Occluders::tracing_by(by, gaussians),
@@ -94,7 +95,7 @@ impl Trainer<'_> {
     }
 
     fn check(&self, state: &TrainerState) -> Result<(), StateError> {
-        let (now, like) = (&state.now, &self.now.parameters);
+        let (now, like) = (&state.now.tables, &self.now.tables.parameters);
         let (gaussians, globals) = (&now.parameters.gaussians, &now.parameters.globals);
         let moments = |adam: &Adam, like: &Table| {
             same_shape(&adam.first, like) && same_shape(&adam.second, like) && adam.is_finite()

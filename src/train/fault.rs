@@ -6,7 +6,7 @@ use crate::optim::ParameterGroup;
 use rayon::prelude::*;
 
 /// Gradients from here on count as infinite: Adam squares them, and the sum of squares must stay finite.
-const GRADIENT_MAX: f32 = 1e18;
+pub const GRADIENT_MAX: f32 = 1e18;
 
 /// The part of a step that is not finite.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -37,6 +37,9 @@ pub enum TrainError {
     /// No Gaussians are left.
     #[error("no Gaussians are left; the images may not overlap or the altitude range may miss the ground")]
     Empty,
+    /// The device failed, or has too little room. Field: the reason and the device.
+    #[error("{0}; --device cpu trains without it")]
+    Device(String),
     /// There are no views.
     #[error("a model needs at least one view")]
     NoViews,

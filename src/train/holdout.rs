@@ -48,6 +48,22 @@ fn tile_draw(seed: u64, view: usize, column: usize, row: usize) -> f32 {
     ((h ^ (h >> 31)) >> 40) as f32 / (1u64 << 24) as f32
 }
 
+/// Mean absolute difference over the `held` pixels of a view; `None` without any.
+pub(super) fn loss(held: &[u32], image: &Raster, truth: &Raster) -> Option<f64> {
+    let plane = image.plane_len();
+    let (mut sum, mut count) = (0.0f64, 0usize);
+    for &i in held {
+        for band in 0..image.bands {
+            let t = truth.values[band * plane + i as usize];
+            if t.is_finite() {
+                sum += f64::from((image.values[band * plane + i as usize] - t).abs());
+                count += 1;
+            }
+        }
+    }
+    (count > 0).then(|| sum / count as f64)
+}
+
 impl Holdout {
     /// Holds tiles of `views` out: sets the weight of their pixels to zero. Without early stopping, all pixels are
     /// trained on.
@@ -87,20 +103,9 @@ impl Holdout {
         }
     }
 
-    /// Mean absolute difference over the held-out pixels of a view; `None` when it has none.
-    pub(super) fn loss(&self, view: usize, image: &Raster, truth: &Raster) -> Option<f64> {
-        let plane = image.plane_len();
-        let (mut sum, mut count) = (0.0f64, 0usize);
-        for &i in &self.held[view] {
-            for band in 0..image.bands {
-                let t = truth.values[band * plane + i as usize];
-                if t.is_finite() {
-                    sum += f64::from((image.values[band * plane + i as usize] - t).abs());
-                    count += 1;
-                }
-            }
-        }
-        (count > 0).then(|| sum / count as f64)
+    /// Held-out pixels of a view.
+    pub(super) fn held(&self, view: usize) -> &[u32] {
+        &self.held[view]
     }
 
     /// Records the loss of a view; drops one that is not finite, which would pass for the best.
@@ -108,12 +113,13 @@ impl Holdout {
         self.now.losses[view] = loss.filter(|loss| loss.is_finite());
     }
 
-    /// At the end of an epoch, keeps `parameters` if their held-out losses are the best so far; counts epochs without
-    /// progress.
-    pub(super) fn epoch_done(&mut self, step: usize, views: usize, parameters: &Parameters) {
-        if self.patience == 0 || !step.is_multiple_of(views) || step < self.now.keep_from {
-            return;
-        }
+    /// True if `step` ends an epoch over `views` views whose parameters may be kept.
+    pub(super) fn compares(&self, step: usize, views: usize) -> bool {
+        self.patience > 0 && step.is_multiple_of(views) && step >= self.now.keep_from
+    }
+
+    /// Keeps `parameters` if their held-out losses are the best so far; counts epochs without progress.
+    pub(super) fn epoch_done(&mut self, step: usize, parameters: &Parameters) {
         let Some(mean) = self.mean() else { return };
         match &self.now.best {
             Some((_, best, _)) if mean > best * (1.0 - PROGRESS) => self.now.epochs_without += 1,
@@ -186,7 +192,7 @@ mod tests {
         holdout.record(0, Some(0.25));
         holdout.record(0, Some(f64::NAN));
         assert_eq!(holdout.now.losses, [None]);
-        holdout.epoch_done(1000, 1, &Parameters::default());
+        holdout.epoch_done(1000, &Parameters::default());
         assert_eq!(holdout.summary(1000).best_l1, None);
     }
 
@@ -201,10 +207,10 @@ mod tests {
         let steps = options.iterations;
         // The easy view alone has a lower difference than both will ever have.
         holdout.record(0, Some(0.1));
-        holdout.epoch_done(2 * steps, 2, &Parameters::default());
+        holdout.epoch_done(2 * steps, &Parameters::default());
         assert_eq!(holdout.summary(2 * steps).best_l1, None);
         holdout.record(1, Some(0.5));
-        holdout.epoch_done(2 * steps + 2, 2, &Parameters::default());
+        holdout.epoch_done(2 * steps + 2, &Parameters::default());
         assert_eq!(holdout.summary(2 * steps + 2).best_l1, Some(0.3));
     }
 
