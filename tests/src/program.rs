@@ -38,6 +38,7 @@ fn build(which: &[&str]) -> Vec<PathBuf> {
             "heliosplat-python",
         ])
         .args(which)
+        .args(cfg!(feature = "gpu").then_some("--features=gpu"))
         .args(["--message-format", "json-render-diagnostics"])
         .output()
         .expect("cargo runs");

@@ -4,6 +4,7 @@
 
 pub mod args;
 pub mod command_line;
+mod device;
 pub mod outcome;
 pub mod outputs;
 pub mod parse;

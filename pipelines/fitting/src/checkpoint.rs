@@ -5,7 +5,7 @@
 //! refused.
 
 use crate::curve::CurvePoint;
-use heliosplat::train::{StateError, Trainer, TrainerState};
+use heliosplat::train::{StateError, TrainError, Trainer, TrainerState};
 use heliosplat_raster::write::write_atomically_with;
 use heliosplat_raster::{RasterError, bounded, sha256};
 use serde::Serialize;
@@ -39,12 +39,15 @@ pub enum CheckpointError {
     /// The checkpoint cannot be written.
     #[error(transparent)]
     Write(#[from] RasterError),
+    /// The device of the training does not give its state back.
+    #[error(transparent)]
+    Fetch(#[from] TrainError),
 }
 
 impl CheckpointError {
     /// True if the user's input is at fault, rather than the machine.
     pub fn is_input_fault(&self) -> bool {
-        !matches!(self, Self::Write(_))
+        !matches!(self, Self::Write(_) | Self::Fetch(_))
     }
 }
 
@@ -191,7 +194,7 @@ impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
     }
 
     /// Writes a checkpoint if one is due. A failure is logged, and the training continues.
-    pub fn step_done(&mut self, trainer: &Trainer) {
+    pub fn step_done(&mut self, trainer: &mut Trainer) {
         if self.last.elapsed() < self.every.max(SPARING * self.took) && self.every > Duration::ZERO {
             return;
         }
@@ -203,9 +206,10 @@ impl<'a, P: Clone + Serialize> CheckpointWriter<'a, P> {
     /// Writes a checkpoint.
     ///
     /// # Errors
-    /// [`CheckpointError::Write`] when the file cannot be written.
-    pub fn write(&mut self, trainer: &Trainer) -> Result<(), CheckpointError> {
+    /// [`CheckpointError::Write`] when the file cannot be written, [`CheckpointError::Fetch`] when a device fails.
+    pub fn write(&mut self, trainer: &mut Trainer) -> Result<(), CheckpointError> {
         let begun = Instant::now();
+        trainer.fetch()?;
         self.log.elapsed_s = self.begun.elapsed().as_secs_f64();
         let contents = Contents {
             identity: Cow::Borrowed(self.identity),

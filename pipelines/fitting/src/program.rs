@@ -45,5 +45,6 @@ pub fn identity_of_program() -> String {
 /// `config` in TOML.
 pub fn identity_of_training(request: &TrainRequest, seed: u64, config: &str) -> String {
     let (program, limit, memory) = (identity_of_program(), request.time_budget, request.memory);
-    format!("{program}--time-budget {limit:?}\n--memory {memory:?}\nseed = {seed}\n{config}\n")
+    let device = request.device.name();
+    format!("{program}--device {device}\n--time-budget {limit:?}\n--memory {memory:?}\nseed = {seed}\n{config}\n")
 }

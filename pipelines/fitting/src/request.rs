@@ -3,8 +3,12 @@
 use crate::lock::Lock;
 use crate::settings::Preset;
 use crate::training::Ending;
+use heliosplat::model::SceneModel;
+use heliosplat::train::device::{CPU, Device, DeviceSource};
+use heliosplat::train::{TrainError, TrainOptions};
 use serde_json::Value;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Default time between two checkpoints.
@@ -24,6 +28,65 @@ pub enum Earlier {
     Overwrite,
 }
 
+/// The device that a training is asked for.
+#[derive(Debug, Clone, Default)]
+pub enum TrainDevice {
+    /// The processor.
+    #[default]
+    Cpu,
+    /// Another device.
+    Other {
+        /// The device.
+        source: Arc<dyn DeviceSource>,
+        /// True if models that it does not know are trained on the processor.
+        or_cpu: bool,
+    },
+}
+
+impl TrainDevice {
+    /// Name, for the identity of a training.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Cpu => CPU,
+            Self::Other { source, .. } => source.name(),
+        }
+    }
+
+    /// The device, ready to train `model`; `None` is the processor.
+    ///
+    /// # Errors
+    /// [`TrainError::Device`] when the device fails, or does not know the model and must.
+    pub fn open(&self, model: &dyn SceneModel, options: &TrainOptions) -> Result<Option<Box<dyn Device>>, TrainError> {
+        let Self::Other { source, .. } = self else {
+            return Ok(None);
+        };
+        let device = source.open(model, options)?;
+        match device {
+            Some(_) => tracing::info!("Training on {}", source.name()),
+            None => self.does_not_know(model.name())?,
+        }
+        Ok(device)
+    }
+
+    /// Says that the processor trains `model`, which the device does not know.
+    ///
+    /// # Errors
+    /// [`TrainError::Device`] when it must be the device.
+    pub fn does_not_know(&self, model: &str) -> Result<(), TrainError> {
+        match self {
+            Self::Cpu => {}
+            Self::Other { source, or_cpu: true } => {
+                tracing::info!("{} does not know the model {model}: training on the CPU", source.name());
+            }
+            Self::Other { source, .. } => {
+                let reason = format!("{} does not know the model {model}", source.name());
+                return Err(TrainError::Device(reason));
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Request of a training, besides its images and its configuration.
 #[derive(Debug, Clone)]
 pub struct TrainRequest {
@@ -41,6 +104,8 @@ pub struct TrainRequest {
     pub earlier: Earlier,
     /// Time between two checkpoints.
     pub checkpoint_every: Duration,
+    /// The device to train on.
+    pub device: TrainDevice,
 }
 
 impl TrainRequest {
@@ -54,6 +119,7 @@ impl TrainRequest {
             memory: None,
             earlier: Earlier::Keep,
             checkpoint_every: CHECKPOINT_EVERY,
+            device: TrainDevice::Cpu,
         }
     }
 }

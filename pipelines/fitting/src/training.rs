@@ -80,6 +80,8 @@ pub struct Trained {
     pub views: Vec<View>,
     /// Reason why the training ended.
     pub ending: Ending,
+    /// Name of the device that computed the steps.
+    pub device: String,
 }
 
 /// Trains for `steps` steps, or until the model has converged, the user stops the training, or the time is spent.
@@ -128,6 +130,9 @@ pub fn train<P: Clone + Serialize>(
         if report.step % CURVE_EVERY == 0 {
             progress.message(&format!("L1 {l1:.4}, {} Gaussians", grouped(report.gaussians)));
             let probe = probe.filter(|_| report.step % probe_every == 0);
+            if probe.is_some() {
+                trainer.fetch()?;
+            }
             log.curve.push(CurvePoint {
                 held_out_l1: trainer.held_out_l1(),
                 accuracy: probe.and_then(|probe| probe(trainer.parameters())),
@@ -140,13 +145,14 @@ pub fn train<P: Clone + Serialize>(
             tracing::info!("Step {} of {steps}, about {left_s:.0} s left", report.step);
             tracing::debug!("L1 {l1:.4}, {gaussians} Gaussians");
         }
-        checkpoints.step_done(&trainer);
+        checkpoints.step_done(&mut trainer);
     }
     if ending == Ending::Done && !trainer.finished() {
         ending = Ending::Interrupted;
-        checkpoints.write(&trainer)?;
+        checkpoints.write(&mut trainer)?;
     }
-    let rejected = trainer.rejected();
+    trainer.fetch()?;
+    let (rejected, device) = (trainer.rejected(), trainer.device().to_owned());
     let (parameters, early_stop, views) = trainer.into_best_and_views();
     Ok(Trained {
         parameters,
@@ -155,6 +161,7 @@ pub fn train<P: Clone + Serialize>(
         views,
         curve: checkpoints.log.curve,
         ending,
+        device,
     })
 }
 

@@ -12,6 +12,7 @@ use heliosplat::train::Trainer;
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
+use heliosplat_fitting::request::TrainDevice;
 use heliosplat_fitting::training::{Ending, TrainingError, train};
 use heliosplat_scene::Split;
 use heliosplat_session::Session;
@@ -38,6 +39,8 @@ pub struct Fitted {
     pub curve: Vec<CurvePoint>,
     /// Reason why the training ended.
     pub ending: Ending,
+    /// Name of the device of the training.
+    pub device: String,
 }
 
 /// Fits a model to `capture`, or continues from the `checkpoint` of an interrupted fit; `checkpoints` writes the state.
@@ -49,6 +52,7 @@ pub fn fit(
     configs: &ObjectConfigs,
     session: &Session,
     budget: Option<Budget>,
+    device: &TrainDevice,
     mut checkpoints: CheckpointWriter<Plan>,
     checkpoint: Option<LoadedCheckpoint<Plan>>,
 ) -> Result<Fitted, TrainingError> {
@@ -88,7 +92,11 @@ pub fn fit(
     drop(part);
     let part = stage("train");
     let prepared = begun.elapsed();
+    let device = device.open(&*scene_model, &options)?;
     let mut trainer = Trainer::new(&*scene_model, views, parameters, options, input.bounds, None)?;
+    if let Some(device) = device {
+        trainer = trainer.on(device);
+    }
     if let Some(checkpoint) = checkpoint {
         tracing::info!(
             "Training continues after step {} of {steps}",
@@ -117,5 +125,6 @@ pub fn fit(
         seconds: [prepared.as_secs_f64(), (begun.elapsed() - prepared).as_secs_f64()],
         curve: trained.curve,
         ending: trained.ending,
+        device: trained.device,
     })
 }

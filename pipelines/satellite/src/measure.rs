@@ -358,6 +358,7 @@ pub(super) fn add_fit(metrics: &mut Value, fitted: &Fitted, model: &LoadedModel,
         "start": start,
         "train": train,
     });
+    metrics["device"] = json!(trained.device);
     metrics["iterations"] = json!(trained.early_stop.steps);
     metrics["best_iteration"] = json!(trained.early_stop.best_step);
     metrics["rejected_steps"] = json!(trained.rejected);

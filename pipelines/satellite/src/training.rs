@@ -32,6 +32,9 @@ use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
 
+/// Name of the model, in `model.json`.
+const MODEL: &str = "shadow_gs";
+
 /// Trains a model of `scene` and writes its run: model, configuration, DSM, and errors where there is truth. `ingest`
 /// is the request that the scene was read with; the run stores it.
 ///
@@ -46,6 +49,7 @@ pub fn train(
 ) -> Result<TrainOutcome<LoadedModel>, SatelliteError> {
     // The surface model needs a map; a missing PROJ database would otherwise fail only after training.
     Crs::utm(scene.frame.origin)?;
+    request.device.does_not_know(MODEL)?;
     let part = stage("decide");
     let decisions = Decisions::of(scene, config);
     let config = decisions.resolved(config);
@@ -218,7 +222,7 @@ fn model_file(scene: &Scene, fitted: &Fitted) -> ModelFile {
     let changes = &fitted.found.changes;
     ModelFile {
         schema: SCHEMA,
-        model: "shadow_gs".into(),
+        model: MODEL.into(),
         gaussians_sha256: None,
         options: fitted.model.options.clone(),
         globals: fitted.trained.parameters.globals.clone(),

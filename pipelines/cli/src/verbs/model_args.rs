@@ -1,6 +1,7 @@
 //! Arguments of the verbs that satellite scenes and objects share: `train`, `dsm`, `relight`, `render`.
 
 use crate::args::IngestArgs;
+use crate::device::DeviceChoice;
 use crate::outcome::{CliError, Outcome};
 use crate::parse;
 use clap::{Args, ValueEnum};
@@ -54,6 +55,9 @@ pub struct TrainArgs {
     /// Time between two checkpoints; 0 keeps one after every step
     #[arg(long, value_parser = parse::duration, value_name = "TIME", default_value = "60s")]
     pub checkpoint_every: Duration,
+    /// Device to train on; with `auto` a GPU where there is one that knows the model (docs/guide/speed.md)
+    #[arg(long, value_enum, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
     /// Scene options
     #[command(flatten)]
     pub ingest: IngestArgs,
@@ -170,8 +174,11 @@ pub struct RenderArgs {
 
 impl TrainArgs {
     /// Request of a training that began at `begun`.
-    pub(crate) fn request(&self, preset: Preset, begun: Instant) -> TrainRequest {
-        TrainRequest {
+    ///
+    /// # Errors
+    /// When the device cannot be had.
+    pub(crate) fn request(&self, preset: Preset, begun: Instant) -> Result<TrainRequest, CliError> {
+        Ok(TrainRequest {
             out: self.out.clone(),
             preset,
             begun,
@@ -179,7 +186,8 @@ impl TrainArgs {
             memory: self.memory,
             earlier: self.earlier(),
             checkpoint_every: self.checkpoint_every,
-        }
+            device: self.device.find()?,
+        })
     }
 
     /// Outcome of a training: `summary` of its metrics and its folder, followed by `before`, a remark about an earlier

@@ -44,7 +44,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     Inputs::of_files(lists.iter().chain([&args.scene])).keep_folder(&args.out)?;
     let preset = args.preset.unwrap_or_default();
     let configs = ObjectConfigs::resolve(preset, &args.set, args.seed.unwrap_or(1))?;
-    let request = args.request(preset, begun);
+    let request = args.request(preset, begun)?;
     let (metrics, before) = match training::train(&args.scene, configs, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&args.out)?;

@@ -57,7 +57,7 @@ pub(crate) fn train(args: &TrainArgs, session: &Session) -> Result<Outcome, CliE
     tracing::info!("Preset {name}: {steps} steps, about {gib:.2} GiB of memory");
     // The surface is still unknown: the scene is refused only if one Gaussian per cell would not fit.
     estimate::must_fit(estimate.least_bytes, args.memory, &config)?;
-    let request = args.request(preset, begun);
+    let request = args.request(preset, begun)?;
     let (metrics, before) = match training::train(&scene, &ingest, &config, &request, session)? {
         TrainOutcome::FinishedBefore { metrics } => {
             report::complete(&args.out)?;
