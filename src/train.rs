@@ -10,7 +10,7 @@ mod options;
 mod pyramid;
 
 pub use checkpoint::{STATE_VERSION, StateError, TrainerState};
-pub use cpu::{LAMBDA_SSIM, PHOTOMETRIC_WEIGHT};
+pub use cpu::{LAMBDA_SSIM, PHOTOMETRIC_WEIGHT, update};
 pub use fault::{Fault, GRADIENT_MAX, TrainError};
 pub use holdout::EarlyStop;
 pub use options::TrainOptions;
@@ -339,10 +339,15 @@ impl<'a> Trainer<'a> {
         rates[OPACITY] = rate_factor * o.opacity_rate;
         let feature_factor = rate_factor * exponential_decay(1.0, o.final_rate.max(0.1), f);
         rates.extend(self.feature_rates.iter().map(|rate| feature_factor * rate.at(f)));
+        let per_gaussian = PHOTOMETRIC_WEIGHT / self.now.tables.parameters.gaussians.count.max(1) as f32;
         Rates {
             gaussians: rates,
             globals: self.global_rates.iter().map(|rate| rate.at(f)).collect(),
             beta1: o.beta1(),
+            prior: (
+                per_gaussian * o.prior_weights.0 / (3.0 * o.gsd_m),
+                per_gaussian * o.prior_weights.1,
+            ),
             log_scale: ((o.scale_gsd.0 * o.gsd_m).ln(), (o.scale_gsd.1 * o.gsd_m).ln()),
             opacity: OPACITY_BOUNDS,
         }

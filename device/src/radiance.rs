@@ -34,7 +34,7 @@ pub fn knows(model: &dyn SceneModel, options: &TrainOptions) -> bool {
 }
 
 /// Numbers of the constants of a step, see `step.wgsl`.
-const CONSTANTS: usize = 56;
+const CONSTANTS: usize = 60;
 
 /// A view on its way to the device or there.
 struct Sent {
@@ -227,6 +227,7 @@ impl RadianceDevice {
         let update = [
             [beta1, 1.0 - beta1.powi(next), correction2, (width * height) as f32],
             [rates.log_scale.0, rates.log_scale.1, rates.opacity.0, rates.opacity.1],
+            [rates.prior.0, rates.prior.1, 0.0, 0.0],
         ];
         let numbers = places.as_flattened().iter().map(|x| x.to_bits());
         let numbers = numbers.chain(counts.as_flattened().iter().map(|&n| n as u32));

@@ -3,14 +3,14 @@
 mod common;
 
 use common::{adapter, apart, model, parameters, views};
-use heliosplat::gaussians::{FEATURES, LOG_SCALE, OPACITY, Table};
+use heliosplat::gaussians::{FEATURES, Table};
 use heliosplat::loss::photometric::photometric;
 use heliosplat::model::{Context, Parameters, SceneModel, View};
-use heliosplat::optim::{Adam, DensityStatistics};
+use heliosplat::optim::DensityStatistics;
 use heliosplat::render::{Lit, Pass, PassGradients, PassOptions};
 use heliosplat::splat::{Maps, Projected};
 use heliosplat::train::device::{Device, Rates, Step, Tables};
-use heliosplat::train::{LAMBDA_SSIM, PHOTOMETRIC_WEIGHT, TrainOptions};
+use heliosplat::train::{LAMBDA_SSIM, PHOTOMETRIC_WEIGHT, TrainOptions, update};
 use heliosplat::{ProjectiveCamera, Raster};
 use heliosplat_device::radiance::RadianceDevice;
 
@@ -63,6 +63,7 @@ fn rates() -> Rates {
         gaussians: vec![1e-3, 5e-3, 2e-3, 0.05, 5e-3, 2e-4, 0.0, 0.0],
         globals: Vec::new(),
         beta1: 0.9,
+        prior: (0.02, 0.01),
         log_scale: (-3.0, -2.0),
         opacity: (-12.0, 3.0),
     }
@@ -254,26 +255,25 @@ fn table_of(numbers: &[f32], like: &Table) -> Table {
 fn updates_and_statistics_are_those_of_the_engine() {
     let rates = rates();
     let Some(mut stepped) = stepped(&rates) else { return };
-    let mut parameters = stepped.tables.parameters.gaussians.clone();
-    let count = parameters.groups.iter().map(|group| group.values.len()).sum();
-    let gradients = table_of(&stepped.numbers("gradients", count), &parameters);
+    let mut on_cpu = Tables::new(stepped.tables.parameters.clone(), 1);
+    let gaussians = &on_cpu.parameters.gaussians;
+    let count = gaussians.groups.iter().map(|group| group.values.len()).sum();
+    let mut gradients = Parameters {
+        gaussians: table_of(&stepped.numbers("gradients", count), gaussians),
+        globals: on_cpu.parameters.globals.clone(),
+    };
     let expected = expected(&stepped.tables.parameters, &stepped.view);
-    let mut adam = Adam::new(&parameters);
-    adam.step_with(rates.beta1, &mut parameters, &gradients, &rates.gaussians);
-    for (group, (least, most)) in [(LOG_SCALE, rates.log_scale), (OPACITY, rates.opacity)] {
-        let values = parameters.group_mut(group).iter_mut();
-        values.for_each(|value| *value = value.clamp(least, most));
-    }
+    update(&mut on_cpu, &mut gradients, &rates);
     stepped.device.fetch(&mut stepped.tables).expect("fetched");
     let found = &stepped.tables.parameters.gaussians;
-    for (own, theirs) in found.groups.iter().zip(&parameters.groups) {
+    for (own, theirs) in found.groups.iter().zip(&on_cpu.parameters.gaussians.groups) {
         let apart = apart(&own.values, &theirs.values);
         assert!(apart < 1e-6, "{}: {apart}", own.spec.name);
     }
     let moments = &stepped.tables.gaussians_adam;
     assert_eq!(moments.steps, 1);
     assert!(moments.second.group(FEATURES + 2).iter().all(|&v| v == 0.0), "frozen");
-    assert!(apart(moments.second.group(0), adam.second.group(0)) < 1e-6);
+    assert!(apart(moments.second.group(0), on_cpu.gaussians_adam.second.group(0)) < 1e-6);
     let mut statistics = DensityStatistics::new(COUNT);
     let (projected, pixels) = (&expected.behind.projected, stepped.view.weight.len());
     statistics.add(projected, &expected.behind.splats, pixels);

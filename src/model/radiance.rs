@@ -19,7 +19,8 @@ use crate::shade::sh::{self, MAX_FUNCTIONS};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Learning rate of the constant function.
+/// Learning rate of all coefficients. With a twentieth of it above degree 0, as Kerbl et al. (2023) have for 30,000
+/// steps, held-out views of `nerf_mic` lose 2 dB (docs/lab/objects.md).
 const RATE: f32 = 5e-3;
 
 /// Options of the radiance model.

@@ -5,18 +5,12 @@ use crate::camera::ProjectiveCamera;
 use crate::optim::LearningRate;
 use glam::Vec3;
 
-/// Factor on the learning rate of degrees above 0 (Kerbl et al. 2023).
-const HIGHER: f32 = 0.05;
 /// Share of training after which the next degree joins.
 const DEGREE_SHARE: f32 = 0.1;
 
-/// Learning rate of the coefficients of a degree where the constant function has `rate`: slower above degree 0, and
-/// frozen until the degrees below have had their share of training.
+/// Learning rate of the coefficients of a degree: frozen until the degrees below have had their share of training.
 pub(super) fn rate_of_degree(rate: f32, degree: usize) -> LearningRate {
-    match degree {
-        0 => LearningRate::constant(rate),
-        n => LearningRate::constant(rate * HIGHER).starting_at(n as f32 * DEGREE_SHARE),
-    }
+    LearningRate::constant(rate).starting_at(degree as f32 * DEGREE_SHARE)
 }
 
 /// The direction in which a camera sees a Gaussian.

@@ -4,7 +4,7 @@ use super::cached_visibility::CachedVisibility;
 use super::device::{CPU, Descent, Device, Rates, Step, Tables};
 use super::fault::{self, TrainError};
 use super::holdout;
-use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY};
+use crate::gaussians::{FEATURES, LOG_SCALE, OPACITY, Table, sigmoid};
 use crate::loss::photometric::photometric;
 use crate::loss::shadow::{ConsistencyPass, consistency};
 use crate::loss::smoothness::{Neighbours, total_variation};
@@ -66,7 +66,7 @@ impl Device for Cpu {
         drop(part);
         if descent.rejected.is_none() {
             let _part = stage("update");
-            update(tables, &self.gradients, step.rates);
+            update(tables, &mut self.gradients, step.rates);
         } else {
             // The cached visibility of a rejected step may be unsound.
             tables.cached_visibility[step.index] = None;
@@ -257,9 +257,29 @@ impl Cpu {
     }
 }
 
-/// Takes a step of Adam, and keeps scales and opacities in bounds.
-fn update(tables: &mut Tables, gradients: &Parameters, rates: &Rates) {
+/// Adds the gradients of the prior, see [`Rates::prior`].
+fn add_prior(gaussians: &Table, (scale, opacity): (f32, f32), gradients: &mut Table) {
+    let mut add = |group: usize, slope: &(dyn Fn(f32) -> f32 + Sync)| {
+        let slots = gradients.group_mut(group).par_iter_mut().with_min_len(CHUNK);
+        slots
+            .zip(gaussians.group(group))
+            .for_each(|(slot, value)| *slot += slope(*value));
+    };
+    if scale > 0.0 {
+        add(LOG_SCALE, &|log_scale| scale * log_scale.exp());
+    }
+    if opacity > 0.0 {
+        add(OPACITY, &|logit| {
+            let absorbed = sigmoid(logit);
+            opacity * absorbed * (1.0 - absorbed)
+        });
+    }
+}
+
+/// Adds the gradients of the prior, takes a step of Adam, and keeps scales and opacities in bounds.
+pub fn update(tables: &mut Tables, gradients: &mut Parameters, rates: &Rates) {
     let Parameters { gaussians, globals } = &mut tables.parameters;
+    add_prior(gaussians, rates.prior, &mut gradients.gaussians);
     tables
         .gaussians_adam
         .step_with(rates.beta1, gaussians, &gradients.gaussians, &rates.gaussians);
@@ -288,4 +308,42 @@ fn mean_absolute(a: &[f32], b: &[f32]) -> f64 {
     let chunks: Vec<(f64, usize)> = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK)).map(of_chunk).collect();
     let (sum, count) = chunks.iter().fold((0.0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
     sum / count.max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gaussians::{POSITION, core_groups, logit};
+
+    #[test]
+    fn the_prior_has_the_slopes_of_summed_scales_and_opacities() {
+        let mut gaussians = Table::zeros(core_groups(), 2);
+        gaussians
+            .group_mut(LOG_SCALE)
+            .copy_from_slice(&[0.1, -0.7, 0.4, 1.0, -2.0, 0.0]);
+        gaussians.group_mut(OPACITY).copy_from_slice(&[logit(0.2), logit(0.9)]);
+        let (scale, opacity) = (0.3, 0.7);
+        let prior = |gaussians: &Table| -> f32 {
+            let scales = gaussians.group(LOG_SCALE).iter().map(|log| scale * log.exp());
+            let opacities = gaussians.group(OPACITY).iter().map(|&logit| opacity * sigmoid(logit));
+            scales.chain(opacities).sum()
+        };
+        let mut gradients = gaussians.zeros_like();
+        add_prior(&gaussians, (scale, opacity), &mut gradients);
+        for (group, numbers) in [(LOG_SCALE, 6), (OPACITY, 2)] {
+            for number in 0..numbers {
+                let moved = |by: f32| {
+                    let mut moved = gaussians.clone();
+                    moved.group_mut(group)[number] += by;
+                    prior(&moved)
+                };
+                let slope = (moved(1e-2) - moved(-1e-2)) / 2e-2;
+                assert!(
+                    (gradients.group(group)[number] - slope).abs() < 1e-3,
+                    "{group} {number}"
+                );
+            }
+        }
+        assert!(gradients.group(POSITION).iter().all(|d| *d == 0.0));
+    }
 }

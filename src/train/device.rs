@@ -55,6 +55,8 @@ pub struct Rates {
     pub globals: Vec<f32>,
     /// Decay of Adam's first moment per step.
     pub beta1: f32,
+    /// Weights of the prior of each Gaussian: of the sum of its standard deviations, per metre, and of its opacity.
+    pub prior: (f32, f32),
     /// Least and largest log scale after the update.
     pub log_scale: (f32, f32),
     /// Least and largest opacity logit after the update.

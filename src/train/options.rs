@@ -66,6 +66,10 @@ pub struct TrainOptions {
     /// ([`smoothness`](crate::loss::smoothness)); 0 is off. 0.1 for the albedo of ground.
     #[serde(skip)]
     pub smoothness_weight: f32,
+    /// Weights of the mean standard deviation, ground sampling distances, and of the mean opacity in the loss: Gaussians
+    /// that an image does not need get small and fade (Kheradmand et al. 2024). 0 is off.
+    #[serde(skip)]
+    pub prior_weights: (f32, f32),
     /// Smallest and largest standard deviation, ground sampling distances.
     #[serde(skip)]
     pub scale_gsd: (f32, f32),
@@ -95,6 +99,7 @@ impl Default for TrainOptions {
             opacity_rate: 0.06,
             own_rate_steps: 0,
             smoothness_weight: 0.0,
+            prior_weights: (0.0, 0.0),
             scale_gsd: (0.1, 8.0),
             holdout: 0.04,
         }

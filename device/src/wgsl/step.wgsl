@@ -20,6 +20,8 @@ struct Step {
     adam: vec4f,
     // Bounds of log scales and of opacities.
     bounds: vec4f,
+    // Weights of the prior: of standard deviations and of opacities.
+    prior: vec4f,
     // Learning rates, by group.
     rates: array<vec4f, 2>,
 }

@@ -1,4 +1,4 @@
-// One step of Adam for each number, and bounds of scales and opacities; nothing where the step has a fault.
+// The prior's gradients, one step of Adam for each number, and bounds of scales and opacities; nothing where the step has a fault.
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> report: array<u32>;
@@ -28,7 +28,14 @@ fn main(
     let rate = step.rates[own / 4u][own % 4u];
     var value = parameters[i];
     if rate != 0.0 {
-        let d = gradients[i];
+        var d = gradients[i];
+        if own == 1u {
+            d += step.prior.x * exp(value);
+        }
+        if own == 3u {
+            let absorbed = 1.0 / (1.0 + exp(-value));
+            d += step.prior.y * absorbed * (1.0 - absorbed);
+        }
         let m = step.adam.x * first_moments[i] + (1.0 - step.adam.x) * d;
         let v = BETA2 * second_moments[i] + (1.0 - BETA2) * d * d;
         first_moments[i] = m;

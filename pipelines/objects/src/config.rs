@@ -170,6 +170,7 @@ impl ObjectConfigs {
         };
         let (lit, mut radiance) = (of(lit)?, of(radiance)?);
         radiance.train.own_rate_steps = RADIANCE_RATE_STEPS;
+        radiance.train.prior_weights = RADIANCE_PRIOR;
         Ok(Self { radiance, lit })
     }
 
@@ -217,6 +218,10 @@ impl Parts {
 /// Steps below which opacities, scales and colours have higher rates in short trainings of `radiance`
 /// (docs/lab/objects.md).
 const RADIANCE_RATE_STEPS: usize = 3200;
+
+/// Weights of the mean scale, in pixels, and of the mean opacity in the loss of `radiance`. Kheradmand et al. (2024)
+/// have the second and much less of the first, 0.01 in units of some 250 pixels (docs/lab/objects.md).
+const RADIANCE_PRIOR: (f32, f32) = (3e-3, 0.01);
 
 /// Settings of trainings on objects that differ from those on ground. Lengths are in pixels at the object's centre.
 fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {

@@ -13,6 +13,9 @@ use glam::Vec3;
 /// Beginnings of the names of the groups with harmonics. Near-surface light has them only where it is on.
 const PARTS: [&str; 2] = ["albedo_sh_", "near_light_sh_"];
 
+/// Learning rate of the harmonics, relative to that of the albedo (Kerbl et al. 2023).
+const RATE_OF_HARMONICS: f32 = 0.05;
+
 /// Number of [`PARTS`] in a model.
 fn parts(options: &ShadowGsOptions) -> usize {
     if options.near_light { 2 } else { 1 }
@@ -23,7 +26,11 @@ pub(super) fn groups(options: &ShadowGsOptions) -> impl Iterator<Item = Paramete
     let &ShadowGsOptions { bands, degree, .. } = options;
     let group = move |part: &str, l: usize| {
         let width = (2 * l + 1) * bands;
-        ParameterGroup::new(&format!("{part}{l}"), width, rate_of_degree(ALBEDO_RATE, l))
+        ParameterGroup::new(
+            &format!("{part}{l}"),
+            width,
+            rate_of_degree(ALBEDO_RATE * RATE_OF_HARMONICS, l),
+        )
     };
     PARTS
         .into_iter()
