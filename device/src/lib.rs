@@ -1,6 +1,6 @@
 //! Training steps on a GPU, by wgpu: Vulkan, Metal or Direct3D 12.
 //!
-//! [`Adapters`] finds the devices of the machine; [`Adapter`] is a [`DeviceSource`] of the engine. The tables of a
+//! [`Adapter::all`] finds the devices of the machine; an [`Adapter`] is a [`DeviceSource`] of the engine. The tables of a
 //! training live on the device; a step sends a camera and brings back its losses. Kernels are in `src/wgsl`, one
 //! operation in a file, with the formulas of the engine's own. Sums have a fixed order and no number is added by atomic
 //! operations, so that a device repeats its own bytes.
