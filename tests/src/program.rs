@@ -73,6 +73,8 @@ pub fn heliosplat<S: AsRef<std::ffi::OsStr>>(arguments: &[S]) -> Command {
     let mut command = Command::new(binary());
     command
         .args(arguments)
+        // Without it the library of software Vulkan writes an error of its own.
+        .env("XDG_RUNTIME_DIR", std::env::temp_dir())
         .env_remove("HELIOSPLAT_LOG")
         .env_remove("HELIOSPLAT_SIMD");
     command
