@@ -27,6 +27,7 @@ SKIPPED = {
     r"--geoid egm2008": "needs a grid of PROJ that is not always there",
     r"/vsi|s3://|https?://": "needs a network",
     r"\bundistorted\b": "needs COLMAP",
+    r"--device gpu": "needs a build with the feature gpu",
 }
 
 # Replacements that keep a command small, in order; the first column limits them to commands that match it.
