@@ -124,7 +124,7 @@ pub struct ObjectConfig {
 }
 
 /// Configurations of a run by kind of model: a step of `radiance` takes a fraction of the time of the other kinds, so
-/// its `fast` and `balanced` have more Gaussians and more steps.
+/// it has more Gaussians, and in `fast` and `balanced` more steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectConfigs {
     /// Configuration for `radiance`.
@@ -152,7 +152,7 @@ impl ObjectConfigs {
             ),
             Preset::Accurate => (
                 include_str!("../presets/accurate.toml"),
-                include_str!("../presets/accurate.toml"),
+                include_str!("../presets/accurate_radiance.toml"),
             ),
             Preset::Preview | Preset::Best => {
                 return Err(ConfigError::Value {
