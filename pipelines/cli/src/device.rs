@@ -55,7 +55,11 @@ impl DeviceChoice {
     /// When it must be a GPU, which this build does not know.
     pub(crate) fn find(self) -> Result<TrainDevice, CliError> {
         match self {
-            Self::Cpu | Self::Auto => Ok(TrainDevice::Cpu),
+            Self::Cpu => Ok(TrainDevice::Cpu),
+            Self::Auto => {
+                tracing::info!("this build knows no GPU: training on the CPU");
+                Ok(TrainDevice::Cpu)
+            }
             Self::Gpu => Err(CliError::Input(
                 "--device gpu: this build knows no GPU; `cargo build --release --features gpu` makes one that does, --device cpu trains without it".into(),
             )),

@@ -29,8 +29,9 @@ pub struct Exchange {
 }
 
 /// The two images whose cameras are most likely exchanged, if the logarithm of the likelihoods' ratio exceeds that of
-/// the number of hypotheses and sightings (as in the criterion of Schwarz 1978). Of two images alone, each camera
-/// explains the ties.
+/// the number of hypotheses and sightings (as in the criterion of Schwarz 1978). `None` also where the ties are too few
+/// for an adjustment, and for two images alone, of which each camera explains the ties. `frame` is any local frame
+/// near the tracks.
 pub fn exchange(images: &[AdjustImage], tracks: &[Track], frame: &LocalFrame) -> Option<Exchange> {
     if images.len() < 3 {
         return None;
