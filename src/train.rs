@@ -1,6 +1,7 @@
 //! The trainer: one view per step, for any model.
 
 mod cached_visibility;
+mod camera_turns;
 mod checkpoint;
 mod cpu;
 pub mod device;
@@ -9,6 +10,7 @@ mod holdout;
 mod options;
 mod pyramid;
 
+pub use camera_turns::CameraTurn;
 pub use checkpoint::{STATE_VERSION, StateError, TrainerState};
 pub use cpu::{LAMBDA_SSIM, PHOTOMETRIC_WEIGHT, update};
 pub use fault::{Fault, GRADIENT_MAX, TrainError};
@@ -21,9 +23,10 @@ use crate::model::{NamedLoss, Parameters, SceneModel, View};
 use crate::optim::density::UNTIL_FRACTION;
 use crate::optim::{LearningRate, ParameterGroup, exponential_decay};
 use crate::timeline::stage;
+use camera_turns::{moved_px, turned, without_gauge};
 use cpu::Cpu;
 use device::{Descent, Device, Rates, Step, Tables};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use holdout::Holdout;
 use pyramid::{Pyramid, PyramidLevel};
 use rand::{SeedableRng, seq::SliceRandom};
@@ -61,6 +64,8 @@ pub struct StepReport {
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 struct StepState {
     tables: Tables,
+    /// Rotations of the views' cameras about their centres, axis times angle, radians; `None` where they do not turn.
+    turns: Option<Vec<DVec3>>,
     step: usize,
     rejected: usize,
     rejected_in_a_row: usize,
@@ -72,6 +77,8 @@ pub struct Trainer<'a> {
     model: &'a dyn SceneModel,
     /// The images; held-out pixels have weight zero.
     views: Vec<View>,
+    /// Cameras of the views as they were given.
+    cameras: Vec<ProjectiveCamera>,
     options: TrainOptions,
     nadir: Option<ProjectiveCamera>,
     bounds: (Vec3, Vec3),
@@ -126,8 +133,10 @@ impl<'a> Trainer<'a> {
             device: None,
             moved: true,
             order: Vec::new(),
+            cameras: views.iter().map(|view| view.camera).collect(),
             now: StepState {
                 tables: Tables::new(parameters, views.len()),
+                turns: options.turn_cameras.then(|| vec![DVec3::ZERO; views.len()]),
                 step: 0,
                 rejected: 0,
                 rejected_in_a_row: 0,
@@ -251,6 +260,9 @@ impl<'a> Trainer<'a> {
         match &descent.rejected {
             None => {
                 self.now.rejected_in_a_row = 0;
+                if let Some(turn) = descent.turn {
+                    self.turn_camera(index, turn);
+                }
                 self.control_density()?;
             }
             Some(fault) => self.reject(fault, index)?,
@@ -297,6 +309,7 @@ impl<'a> Trainer<'a> {
             full_size,
             camera: &self.views[index].camera,
             nadir: self.nadir.as_ref(),
+            turns: self.now.turns.is_some(),
             held: self.holdout.held(index),
             rates: &rates,
         };
@@ -309,6 +322,48 @@ impl<'a> Trainer<'a> {
             device.put(tables)?;
         }
         Ok((device.step(&step, tables)?, full_size))
+    }
+
+    /// Turns the camera of view `index` further. After each epoch the turns lose what a movement of the scene explains,
+    /// and after some epochs cameras that were right stay as they were given.
+    fn turn_camera(&mut self, index: usize, turn: DVec3) {
+        let (views, step) = (self.views.len(), self.now.step);
+        let Some(turns) = self.now.turns.as_mut().filter(|_| step > views) else {
+            return;
+        };
+        turns[index] += turn;
+        if !step.is_multiple_of(views) {
+            return self.place_camera(index);
+        }
+        let eyes = self
+            .cameras
+            .iter()
+            .map(|camera| camera.eye().unwrap_or(Vec3::Z).as_dvec3());
+        without_gauge(turns, &eyes.collect::<Vec<DVec3>>());
+        if step == camera_turns::DECIDING_EPOCH * views && camera_turns::are_noise(&self.cameras, turns) {
+            self.now.turns = None;
+        }
+        (0..views).for_each(|view| self.place_camera(view));
+    }
+
+    /// Puts the camera of view `index` where its turn leaves it.
+    fn place_camera(&mut self, index: usize) {
+        let turn = self.now.turns.as_ref().map_or(DVec3::ZERO, |turns| turns[index]);
+        let camera = turned(&self.cameras[index], turn);
+        self.views[index].camera = camera;
+        self.pyramid.place_camera(index, &camera);
+    }
+
+    /// Turns of the cameras, by view; empty where cameras stay as they were given.
+    pub fn camera_turns(&self) -> Vec<CameraTurn> {
+        let cameras = self.views.iter().zip(&self.cameras);
+        let turns = cameras.zip(self.now.turns.iter().flatten());
+        let turn = |((view, camera), turn): ((&View, &ProjectiveCamera), &DVec3)| CameraTurn {
+            image: view.name.clone(),
+            radians: turn.to_array(),
+            pixels: moved_px(camera, *turn),
+        };
+        turns.map(turn).collect()
     }
 
     /// Counts a rejected step, which must change nothing.

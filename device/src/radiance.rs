@@ -355,6 +355,7 @@ impl Device for RadianceDevice {
             l1: loss(1) / known.max(1) as f64,
             held_out: None,
             pairs: u64::from(report[PAIRS]),
+            turn: None,
             rejected,
         })
     }

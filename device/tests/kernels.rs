@@ -91,6 +91,7 @@ fn stepped(rates: &Rates) -> Option<Stepped> {
         full_size: true,
         camera: &view.camera,
         nadir: None,
+        turns: false,
         held: &[],
         rates,
     };

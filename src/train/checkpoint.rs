@@ -13,7 +13,7 @@ use crate::trace::bvh::Bounds;
 use std::borrow::Cow;
 
 /// Version of the layout of [`TrainerState`].
-pub const STATE_VERSION: u32 = 8;
+pub const STATE_VERSION: u32 = 9;
 
 /// Reason why a state cannot be restored.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -91,6 +91,7 @@ impl Trainer<'_> {
             }
         });
         self.order.clear();
+        (0..self.views.len()).for_each(|view| self.place_camera(view));
         Ok(())
     }
 
@@ -101,6 +102,7 @@ impl Trainer<'_> {
             same_shape(&adam.first, like) && same_shape(&adam.second, like) && adam.is_finite()
         };
         let best = state.holdout.best.as_ref().map(|(_, _, parameters)| parameters);
+        let turns = state.now.turns.as_ref();
         let light = now.cached_visibility.iter().flatten();
         let bounds = state.occluders.iter().filter_map(|(_, built_on)| built_on.as_ref());
         let checks = [
@@ -109,7 +111,10 @@ impl Trainer<'_> {
                 same_groups(gaussians, &like.gaussians) && gaussians.count > 0,
             ),
             ("shared parameters", same_shape(globals, &like.globals)),
-            ("numbers", now.parameters.is_finite()),
+            (
+                "numbers",
+                now.parameters.is_finite() && turns.is_none_or(|turns| turns.iter().all(|turn| turn.is_finite())),
+            ),
             (
                 "moments",
                 moments(&now.gaussians_adam, gaussians) && moments(&now.globals_adam, globals),
@@ -123,6 +128,7 @@ impl Trainer<'_> {
                 "views",
                 [now.cached_visibility.len(), state.holdout.losses.len()] == [self.views.len(); 2],
             ),
+            ("cameras", turns.is_none_or(|turns| turns.len() == self.views.len())),
             ("light", light.into_iter().all(|light| light.is_of(gaussians.count))),
             (
                 "occluders",

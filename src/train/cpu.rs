@@ -1,6 +1,7 @@
 //! Steps on the CPU, on the trainer's own tables.
 
 use super::cached_visibility::CachedVisibility;
+use super::camera_turns;
 use super::device::{CPU, Descent, Device, Rates, Step, Tables};
 use super::fault::{self, TrainError};
 use super::holdout;
@@ -181,6 +182,9 @@ impl Cpu {
                     .light_prior_loss(&pass.maps, prior, &view.weight, &mut d_maps),
             );
         }
+        let turn = step
+            .turns
+            .then(|| camera_turns::toward(&view.camera, &image, &truth, &view.weight));
         let l1 = mean_absolute(&image.values, &truth.values);
         let pairs = pass.maps.pairs;
         drop((image, d_image));
@@ -207,6 +211,7 @@ impl Cpu {
             l1,
             held_out,
             pairs,
+            turn: turn.flatten(),
             rejected: None,
         }
     }

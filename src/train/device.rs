@@ -11,6 +11,7 @@ use crate::camera::ProjectiveCamera;
 use crate::loss::smoothness::Neighbours;
 use crate::model::{NamedLoss, Parameters, SceneModel, View};
 use crate::optim::{Adam, DensityStatistics};
+use glam::DVec3;
 
 /// Name of the device that every build has.
 pub const CPU: &str = "cpu";
@@ -82,6 +83,8 @@ pub struct Step<'s> {
     pub camera: &'s ProjectiveCamera,
     /// Camera at the zenith, for shadow consistency.
     pub nadir: Option<&'s ProjectiveCamera>,
+    /// True if the step finds a rotation of the camera, see [`Descent::turn`].
+    pub turns: bool,
     /// Held-out pixels of the view at full size.
     pub held: &'s [u32],
     /// Rates of the update.
@@ -99,6 +102,9 @@ pub struct Descent {
     pub held_out: Option<f64>,
     /// Number of (splat, pixel) pairs of the forward pass.
     pub pairs: u64,
+    /// Rotation of the view's camera that its image asks for, axis times angle, radians; `None` also where a device
+    /// finds none.
+    pub turn: Option<DVec3>,
     /// Fault that rejected the step, which then changed no parameter.
     pub rejected: Option<Fault>,
 }

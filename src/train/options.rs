@@ -70,6 +70,9 @@ pub struct TrainOptions {
     /// that an image does not need get small and fade (Kheradmand et al. 2024). 0 is off.
     #[serde(skip)]
     pub prior_weights: (f32, f32),
+    /// True if cameras may turn about their centres, as the images ask; a device other than the CPU leaves them.
+    #[serde(skip)]
+    pub turn_cameras: bool,
     /// Smallest and largest standard deviation, ground sampling distances.
     #[serde(skip)]
     pub scale_gsd: (f32, f32),
@@ -100,6 +103,7 @@ impl Default for TrainOptions {
             own_rate_steps: 0,
             smoothness_weight: 0.0,
             prior_weights: (0.0, 0.0),
+            turn_cameras: false,
             scale_gsd: (0.1, 8.0),
             holdout: 0.04,
         }

@@ -1,6 +1,7 @@
 //! The image pyramid of training: the first steps see every view at half its width, the others at full size.
 
 use super::options::TrainOptions;
+use crate::camera::ProjectiveCamera;
 use crate::model::View;
 use crate::raster::Raster;
 use rayon::prelude::*;
@@ -45,6 +46,13 @@ impl Pyramid {
             self.coarse = Vec::new();
         } else if self.coarse.is_empty() {
             self.coarse = views.par_iter().map(|view| coarser(view, COARSE_FACTOR)).collect();
+        }
+    }
+
+    /// Puts the camera of view `index` where that of its full size is now.
+    pub(super) fn place_camera(&mut self, index: usize, camera: &ProjectiveCamera) {
+        if let Some(view) = self.coarse.get_mut(index) {
+            view.camera = camera.downscaled(COARSE_FACTOR);
         }
     }
 
@@ -93,7 +101,6 @@ fn plane(values: &[f32], width: usize) -> Raster {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::ProjectiveCamera;
     use crate::raster::Raster;
     use glam::Vec3;
 

@@ -395,3 +395,55 @@ fn a_mesh_lies_where_the_object_is(run: &str, home: &Path) {
     let line = fault(&["export", run, "--mesh", "mesh.obj"], 2);
     assert!(line.contains(".ply or .glb"), "{line}");
 }
+
+/// Turns the training cameras of a capture about their centres by up to two hundredths of a radian, 2 pixels of 64.
+fn disturb_cameras(capture: &Path) {
+    let path = capture.join("transforms_train.json");
+    let text = std::fs::read_to_string(&path).expect("readable");
+    let mut list: Value = serde_json::from_str(&text).expect("JSON");
+    let frames = list["frames"].as_array_mut().expect("frames");
+    for (n, frame) in frames.iter_mut().enumerate() {
+        let number = |row: usize, col: usize| frame["transform_matrix"][row][col].as_f64().expect("a number");
+        // The axes to the right and upwards turn against the third.
+        let [yaw, pitch] = [0.03 * (1.7 * n as f64).sin(), 0.03 * (2.9 * n as f64).cos()];
+        let turned: Vec<Value> = (0..3)
+            .map(|row| {
+                let [right, up, back] = [0, 1, 2].map(|col| number(row, col));
+                json!([
+                    right - yaw * back,
+                    up - pitch * back,
+                    back + yaw * right + pitch * up,
+                    number(row, 3)
+                ])
+            })
+            .chain([json!([0.0, 0.0, 0.0, 1.0])])
+            .collect();
+        frame["transform_matrix"] = json!(turned);
+    }
+    std::fs::write(&path, list.to_string()).expect("written");
+}
+
+#[test]
+fn training_cameras_that_are_off_are_turned_and_those_that_are_right_stay() {
+    let (capture, home) = (capture(16), tempdir().expect("a temporary folder"));
+    let steps = ["--set", "train.iterations=480"];
+    let exact = train(capture.path(), &home.path().join("exact"), &steps);
+    assert_eq!(exact["camera_turns"], json!([]));
+    disturb_cameras(capture.path());
+    let run = home.path().join("off");
+    let metrics = train(capture.path(), &run, &steps);
+    let turns = metrics["camera_turns"].as_array().expect("a list");
+    let pixels: Vec<f64> = turns.iter().filter_map(|turn| turn["pixels"].as_f64()).collect();
+    let mean = pixels.iter().sum::<f64>() / 16.0;
+    assert!(pixels.len() == 16 && (1.0..3.5).contains(&mean), "{pixels:?}");
+    // Training views are measured with the turned cameras, by `evaluate` too.
+    let psnr = |metrics: &Value| metrics.pointer("/train/psnr").and_then(Value::as_f64).expect("a score");
+    assert!(
+        psnr(&metrics) > psnr(&exact) - 2.0,
+        "{} {}",
+        psnr(&metrics),
+        psnr(&exact)
+    );
+    let again = json(&["evaluate".as_ref(), run.as_os_str()]);
+    assert!((psnr(&again) - psnr(&metrics)).abs() < 1e-9);
+}

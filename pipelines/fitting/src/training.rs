@@ -4,7 +4,7 @@ use crate::budget::{Budget, Pace};
 use crate::checkpoint::{CheckpointError, CheckpointWriter};
 use crate::curve::{Accuracy, CurvePoint};
 use heliosplat::model::{Parameters, View};
-use heliosplat::train::{EarlyStop, StepReport, TrainError, Trainer};
+use heliosplat::train::{CameraTurn, EarlyStop, StepReport, TrainError, Trainer};
 use heliosplat_session::Session;
 use heliosplat_session::log::grouped;
 use serde::Serialize;
@@ -80,6 +80,8 @@ pub struct Trained {
     pub views: Vec<View>,
     /// Reason why the training ended.
     pub ending: Ending,
+    /// Rotations of the training cameras, where they may turn.
+    pub turns: Vec<CameraTurn>,
     /// Name of the device that computed the steps.
     pub device: String,
 }
@@ -152,7 +154,7 @@ pub fn train<P: Clone + Serialize>(
         checkpoints.write(&mut trainer)?;
     }
     trainer.fetch()?;
-    let (rejected, device) = (trainer.rejected(), trainer.device().to_owned());
+    let (rejected, device, turns) = (trainer.rejected(), trainer.device().to_owned(), trainer.camera_turns());
     let (parameters, early_stop, views) = trainer.into_best_and_views();
     Ok(Trained {
         parameters,
@@ -161,6 +163,7 @@ pub fn train<P: Clone + Serialize>(
         views,
         curve: checkpoints.log.curve,
         ending,
+        turns,
         device,
     })
 }

@@ -242,6 +242,7 @@ fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {
             prune_gsd: 120.0,
             ..train.density
         },
+        turn_cameras: true,
         ..train
     }
 }

@@ -2,13 +2,13 @@
 
 use super::capture::{Capture, Frame};
 use super::config::ObjectConfigs;
-use super::model::{self, ObjectModel};
+use super::model::{self, ObjectImage, ObjectModel};
 use super::plan::{self, Plan};
 use super::prepare;
 use super::{measure, views};
 use heliosplat::model::View;
 use heliosplat::timeline::stage;
-use heliosplat::train::Trainer;
+use heliosplat::train::{CameraTurn, Trainer};
 use heliosplat_fitting::budget::Budget;
 use heliosplat_fitting::checkpoint::{CheckpointWriter, LoadedCheckpoint};
 use heliosplat_fitting::curve::CurvePoint;
@@ -39,6 +39,8 @@ pub struct Fitted {
     pub curve: Vec<CurvePoint>,
     /// Reason why the training ended.
     pub ending: Ending,
+    /// Rotations of the training cameras.
+    pub turns: Vec<CameraTurn>,
     /// Name of the device of the training.
     pub device: String,
 }
@@ -110,7 +112,8 @@ pub fn fit(
     let probe = measure::psnr_probe(capture, model::file(capture, kind.clone(), preparation, begins));
     let trained = train(trainer, steps, session, budget, checkpoints, probe.as_deref())?;
     drop(part);
-    let file = model::file(capture, kind, preparation, trained.parameters.globals.clone());
+    let mut file = model::file(capture, kind, preparation, trained.parameters.globals.clone());
+    turn_cameras(&mut file.images, &trained.turns);
     Ok(Fitted {
         model: ObjectModel {
             model: file.kind.model(),
@@ -125,6 +128,25 @@ pub fn fit(
         seconds: [prepared.as_secs_f64(), (begun.elapsed() - prepared).as_secs_f64()],
         curve: trained.curve,
         ending: trained.ending,
+        turns: trained.turns,
         device: trained.device,
     })
+}
+
+/// Turns the cameras of training images as the training did.
+fn turn_cameras(images: &mut [ObjectImage], turns: &[CameraTurn]) {
+    let Some(most) = turns.iter().map(|turn| turn.pixels).max_by(f64::total_cmp) else {
+        return;
+    };
+    let mean = turns.iter().map(|turn| turn.pixels).sum::<f64>() / turns.len() as f64;
+    tracing::warn!(
+        "The cameras of the training images were off by {mean:.1} pixels, {most:.1} at most. They were turned about \
+         their centres; held-out cameras are as given. A bundle adjustment of the capture may do better"
+    );
+    let mut trained: Vec<&mut ObjectImage> = images.iter_mut().filter(|image| image.split == Split::Train).collect();
+    for turn in turns {
+        if let Some(image) = trained.iter_mut().find(|image| image.name == turn.image) {
+            image.camera = image.camera.turned(turn.radians.into());
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! Scores of a model on held-out images.
 
 use super::capture::{Capture, Frame};
-use super::model::{Kind, ObjectFile, ObjectImage, ObjectModel};
+use super::model::{Kind, ObjectFile, ObjectModel};
 use super::pixels::Encoding;
 use super::views::Preparation;
 use glam::Vec3;
@@ -45,7 +45,7 @@ pub fn compare(model: &ObjectModel, frame: &Frame) -> Option<Compared> {
         ..model.file.preparation
     };
     let truth = preparation.image(&frame.picture);
-    let mut rendered = model.render(&ObjectImage::from(frame))?;
+    let mut rendered = model.render(&model.image_of(frame))?;
     if !is_linear(model) {
         rendered.values.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
@@ -161,7 +161,7 @@ fn by_part(model: &ObjectModel, capture: &Capture, frames: &[&Frame]) -> Option<
     let mut sums: BTreeMap<u8, PartSums> = BTreeMap::new();
     for frame in frames {
         let (truth, parts) = capture.true_parts(frame)?;
-        let (found, compared) = (model.normals(&ObjectImage::from(*frame))?, compare(model, frame)?);
+        let (found, compared) = (model.normals(&model.image_of(frame))?, compare(model, frame)?);
         let size = (found.width as u32, found.height as u32);
         if truth.dimensions() != size || parts.dimensions() != size {
             return None;

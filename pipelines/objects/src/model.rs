@@ -142,7 +142,7 @@ pub struct ObjectFile {
     pub preparation: Preparation,
     /// Projection of Gaussians to splats.
     pub projection: ProjectionOptions,
-    /// The images of the capture.
+    /// The images of the capture; cameras of training images as training turned them.
     pub images: Vec<ObjectImage>,
 }
 
@@ -157,6 +157,14 @@ pub struct ObjectModel {
 }
 
 impl ObjectModel {
+    /// The image of a frame as the model knows it, with the camera that training left it; the frame's own where the
+    /// model does not know it.
+    pub(super) fn image_of(&self, frame: &Frame) -> ObjectImage {
+        let known = |image: &&ObjectImage| image.split == frame.split && image.name == frame.name;
+        let image = self.file.images.iter().find(known);
+        image.cloned().unwrap_or_else(|| frame.into())
+    }
+
     /// Rendering for an image's camera: red, green and blue, in front of the model's background, under the image's
     /// light. `None` when the model lies behind the camera.
     pub fn render(&self, image: &ObjectImage) -> Option<Raster> {

@@ -1,6 +1,6 @@
 //! Pinhole cameras of captures, and their conversion to cameras of the engine.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use heliosplat::ProjectiveCamera;
 
 /// Farthest that a camera may stand from the origin, in the capture's units.
@@ -50,6 +50,17 @@ impl Pinhole {
             principal_px: [0.0; 2],
             size_px: [0; 2],
         })
+    }
+
+    /// This camera turned about its centre by `turn`, axis times angle, radians.
+    pub fn turned(&self, turn: DVec3) -> Self {
+        let rotation = DQuat::from_scaled_axis(turn);
+        Self {
+            right: rotation * self.right,
+            down: rotation * self.down,
+            forward: rotation * self.forward,
+            ..*self
+        }
     }
 
     /// Distance of a point along the optical axis, in the capture's units; negative behind the camera.

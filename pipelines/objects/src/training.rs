@@ -170,6 +170,7 @@ fn hashes(capture: &Capture) -> Result<Vec<Input>, RunError> {
 fn add_fit(metrics: &mut Value, fitted: &Fitted, seconds: f64) {
     metrics["seconds"] = json!(seconds);
     metrics["device"] = json!(fitted.device);
+    metrics["camera_turns"] = json!(fitted.turns);
     metrics["plan"] = json!(fitted.plan);
     metrics["stage_seconds"] = json!({"start": fitted.seconds[0], "train": fitted.seconds[1]});
     metrics["iterations"] = json!(fitted.iterations);
