@@ -136,7 +136,7 @@ impl<'a> Trainer<'a> {
             cameras: views.iter().map(|view| view.camera).collect(),
             now: StepState {
                 tables: Tables::new(parameters, views.len()),
-                turns: options.turn_cameras.then(|| vec![DVec3::ZERO; views.len()]),
+                turns: camera_turns::begin(&options, views.len()),
                 step: 0,
                 rejected: 0,
                 rejected_in_a_row: 0,
@@ -325,7 +325,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// Turns the camera of view `index` further. After each epoch the turns lose what a movement of the scene explains,
-    /// and after some epochs cameras that were right stay as they were given.
+    /// and cameras that turn out to be right go back to where they were given, for good.
     fn turn_camera(&mut self, index: usize, turn: DVec3) {
         let (views, step) = (self.views.len(), self.now.step);
         let Some(turns) = self.now.turns.as_mut().filter(|_| step > views) else {
@@ -340,7 +340,7 @@ impl<'a> Trainer<'a> {
             .iter()
             .map(|camera| camera.eye().unwrap_or(Vec3::Z).as_dvec3());
         without_gauge(turns, &eyes.collect::<Vec<DVec3>>());
-        if step == camera_turns::DECIDING_EPOCH * views && camera_turns::are_noise(&self.cameras, turns) {
+        if step >= camera_turns::FIRST_DECISION * views && camera_turns::are_noise(&self.cameras, turns) {
             self.now.turns = None;
         }
         (0..views).for_each(|view| self.place_camera(view));

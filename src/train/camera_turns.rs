@@ -5,13 +5,14 @@
 //! Kanade 1981). Translations and rotations of the whole scene can stand in for rotations of all cameras; what they
 //! explain is taken out again, so that held-out cameras, which are never turned, keep seeing the scene in its place.
 
+use super::options::TrainOptions;
 use crate::camera::ProjectiveCamera;
 use crate::raster::Raster;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
-/// Epoch after which cameras that have hardly turned are taken to be right.
-pub(super) const DECIDING_EPOCH: usize = 4;
+/// Epoch after which cameras that have hardly turned are taken to be right, as after every later one.
+pub(super) const FIRST_DECISION: usize = 4;
 /// Movement of the images, root of the mean square, pixels, up to which turns are noise. With exact cameras it is 0.05
 /// to 0.22 pixels, with errors of half a pixel 0.5 (docs/lab/objects.md).
 const NOISE_PX: f64 = 0.3;
@@ -72,6 +73,12 @@ pub(super) fn are_noise(cameras: &[ProjectiveCamera], turns: &[DVec3]) -> bool {
         .zip(turns)
         .map(|(camera, turn)| moved_px(camera, *turn).powi(2));
     squares.sum::<f64>() < NOISE_PX * NOISE_PX * turns.len() as f64
+}
+
+/// Turns at the start; `None` where cameras must not turn, or training is over before it is clear whether they should.
+pub(super) fn begin(options: &TrainOptions, views: usize) -> Option<Vec<DVec3>> {
+    let turn = options.turn_cameras && options.iterations > FIRST_DECISION * views;
+    turn.then(|| vec![DVec3::ZERO; views])
 }
 
 /// Normal equations of one row of the image.

@@ -168,9 +168,7 @@ impl ObjectConfigs {
             config.model.checked()?;
             Ok(config)
         };
-        let (lit, mut radiance) = (of(lit)?, of(radiance)?);
-        radiance.train.own_rate_steps = RADIANCE_RATE_STEPS;
-        radiance.train.prior_weights = RADIANCE_PRIOR;
+        let (lit, radiance) = (of(lit)?, of(radiance)?);
         Ok(Self { radiance, lit })
     }
 
@@ -215,13 +213,12 @@ impl Parts {
     }
 }
 
-/// Steps below which opacities, scales and colours have higher rates in short trainings of `radiance`
-/// (docs/lab/objects.md).
-const RADIANCE_RATE_STEPS: usize = 3200;
+/// Steps below which opacities, scales and colours have higher rates (docs/lab/objects.md).
+const RATE_STEPS: usize = 3200;
 
-/// Weights of the mean scale, in pixels, and of the mean opacity in the loss of `radiance`. Kheradmand et al. (2024)
-/// have the second and much less of the first, 0.01 in units of some 250 pixels (docs/lab/objects.md).
-const RADIANCE_PRIOR: (f32, f32) = (3e-3, 0.01);
+/// Weights of the mean scale, in pixels, and of the mean opacity in the loss. Kheradmand et al. (2024) have the second
+/// and much less of the first, 0.01 in units of some 250 pixels (docs/lab/objects.md).
+const PRIOR: (f32, f32) = (3e-3, 0.01);
 
 /// Settings of trainings on objects that differ from those on ground. Lengths are in pixels at the object's centre.
 fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {
@@ -242,6 +239,8 @@ fn for_objects(train: TrainOptions, seed: u64) -> TrainOptions {
             prune_gsd: 120.0,
             ..train.density
         },
+        own_rate_steps: RATE_STEPS,
+        prior_weights: PRIOR,
         turn_cameras: true,
         ..train
     }
