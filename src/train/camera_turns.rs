@@ -82,7 +82,7 @@ pub(super) fn begin(options: &TrainOptions, views: usize) -> Option<Vec<DVec3>> 
 }
 
 /// Normal equations of one row of the image.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct Normal {
     matrix: DMat3,
     right: DVec3,

@@ -97,6 +97,7 @@ pub fn fit(
     let device = device.open(&*scene_model, &options)?;
     let mut trainer = Trainer::new(&*scene_model, views, parameters, options, input.bounds, None)?;
     if let Some(device) = device {
+        tracing::info!("Cameras stay as they were given: {} does not turn them", device.name());
         trainer = trainer.on(device);
     }
     if let Some(checkpoint) = checkpoint {
