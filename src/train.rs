@@ -223,12 +223,11 @@ impl<'a> Trainer<'a> {
         self.order[place]
     }
 
-    /// This trainer, with its steps computed by `device`.
-    pub fn on(self, device: Box<dyn Device + 'a>) -> Self {
-        Self {
-            device: Some(device),
-            ..self
-        }
+    /// This trainer, with its steps computed by `device`, which turns no cameras.
+    pub fn on(mut self, device: Box<dyn Device + 'a>) -> Self {
+        self.device = Some(device);
+        self.now.turns = None;
+        self
     }
 
     /// Brings the parameters and the state up to date where a device keeps its own. Nothing else reads them back.

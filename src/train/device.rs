@@ -102,8 +102,7 @@ pub struct Descent {
     pub held_out: Option<f64>,
     /// Number of (splat, pixel) pairs of the forward pass.
     pub pairs: u64,
-    /// Rotation of the view's camera that its image asks for, axis times angle, radians; `None` also where a device
-    /// finds none.
+    /// Rotation of the view's camera that its image asks for, axis times angle, radians; `None` where it asks for none.
     pub turn: Option<DVec3>,
     /// Fault that rejected the step, which then changed no parameter.
     pub rejected: Option<Fault>,

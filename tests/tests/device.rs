@@ -53,6 +53,11 @@ fn a_run_says_its_device_and_other_models_name_the_way_back() {
         psnr(&on_cpu),
         psnr(&on_gpu)
     );
+    // With more steps the CPU would turn cameras; a device does not, and says nothing else.
+    let longer = run("longer");
+    let more = ["--set", "train.iterations=30"];
+    let longer = json(&[arguments(&of, &longer, "gpu", "model.kind=\"radiance\""), more.to_vec()].concat());
+    assert_eq!(longer["camera_turns"], serde_json::json!([]));
     // The device is part of the training: another one is another training.
     let (again, other) = (run("gpu"), run("gpu"));
     let resumed = |device| {

@@ -396,7 +396,7 @@ fn a_mesh_lies_where_the_object_is(run: &str, home: &Path) {
     assert!(line.contains(".ply or .glb"), "{line}");
 }
 
-/// Turns the training cameras of a capture about their centres by up to two hundredths of a radian, 2 pixels of 64.
+/// Turns the training cameras of a capture about their centres by up to 0.04 radians, 4 pixels of 64.
 fn disturb_cameras(capture: &Path) {
     let path = capture.join("transforms_train.json");
     let text = std::fs::read_to_string(&path).expect("readable");

@@ -99,6 +99,11 @@ pub fn fit(
     if let Some(device) = device {
         tracing::info!("Cameras stay as they were given: {} does not turn them", device.name());
         trainer = trainer.on(device);
+    } else if trainer.camera_turns().is_empty() {
+        tracing::info!(
+            "Cameras stay as they were given: {steps} steps visit {} images too seldom to find their errors",
+            trainer.views()
+        );
     }
     if let Some(checkpoint) = checkpoint {
         tracing::info!(
