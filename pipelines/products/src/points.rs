@@ -1,7 +1,8 @@
-//! The Gaussians as a point cloud: LAZ 1.4, points of format 7 with colours, and the class of vegetation where it is
-//! known.
+//! The Gaussians as a point cloud: LAZ 1.4, points of format 7 with colours, and the classes of ground and, where it is
+//! known, of vegetation.
 
 use crate::model::LoadedModel;
+use heliosplat::Raster;
 use heliosplat::gaussians::POSITION;
 use heliosplat::model::shadow_gs::ALBEDO;
 use heliosplat_raster::geoid::{GeoidGrid, Undulation};
@@ -10,29 +11,38 @@ use heliosplat_scene::indices::VEGETATION_INDEX;
 use las::point::{Classification, Format};
 use las::{Builder, Color, Point, Reader, Transform, Vector, Writer};
 use nalgebra::Vector3;
-use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Least opacity of a Gaussian that is a surface.
 const OPACITY_KNOWN: f32 = 0.5;
 
-/// Height above which vegetation is high, metres, and width of the cells in which the ground is sought, metres.
+/// Height above the ground from which vegetation is high, and below which other points are ground, metres.
 const HIGH_M: f64 = 2.0;
-const CELL_M: f64 = 5.0;
+const LOW_M: f64 = 0.5;
 
 /// Step of the coordinates, metres; in other units the nearest power of ten.
 const STEP_M: f64 = 0.001;
 
-/// Writes the Gaussians of `model` that are opaque and within its area as a point cloud in `crs`; returns their number.
-/// Heights are metres above `geoid`, or the ellipsoid.
+/// Writes the Gaussians of `model` that are opaque and within its area as a point cloud in the coordinates of `grid`;
+/// returns their number. Their heights and those of `ground`, which lies on the grid, are metres above `geoid`, or the
+/// ellipsoid.
 ///
 /// # Errors
 /// When the coordinate system does not cover the place, a geoid's grid is missing, or the file cannot be written.
-pub fn write(path: &Path, model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<usize> {
+pub fn write(
+    path: &Path,
+    model: &LoadedModel,
+    (grid, ground): (&GridSpec, &Raster),
+    geoid: Option<Geoid>,
+) -> Result<usize> {
     let failed = |error: las::Error| RasterError::Write(path.to_owned(), error.to_string());
-    let points = points(model, crs, geoid)?;
-    let bytes = encode(&points, &above(crs, geoid)?).map_err(failed)?;
+    let height_m = |point: &Point| {
+        let cell = cell_of(grid, point);
+        point.z - f64::from(ground.values[cell])
+    };
+    let points = points(model, &grid.crs, geoid, height_m)?;
+    let bytes = encode(&points, &above(&grid.crs, geoid)?).map_err(failed)?;
     write_atomically(path, &bytes)?;
     Ok(points.len())
 }
@@ -87,11 +97,9 @@ pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>)
     let failed = |error: las::Error| RasterError::Write(path.to_owned(), error.to_string());
     let crs = above(&grid.crs, geoid)?;
     let table = geoid.map(|geoid| GeoidGrid::new(geoid, grid)).transpose()?;
-    let below = |x: f64, y: f64| {
-        let [col, row] = grid.transform.pixel_from_map(x, y);
-        let cell = |at: f64, cells: usize| (at.round().max(0.0) as usize).min(cells.saturating_sub(1));
-        let (col, row) = (cell(col, grid.width), cell(row, grid.height));
-        table.as_ref().map_or(0.0, |table| table.at(col, row))
+    let below = |point: &Point| {
+        let cell = cell_of(grid, point);
+        (table.as_ref()).map_or(0.0, |table| table.at(cell % grid.width, cell / grid.width))
     };
     let corner = grid.transform.map_from_pixel(-0.5, grid.height as f64 - 0.5);
     // Heights have the offset zero: the lowest is unknown until all are read.
@@ -104,7 +112,7 @@ pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>)
         for point in all.points() {
             let mut point = point.map_err(damaged)?;
             if point.x >= *west && point.x < *east && point.y >= *south && point.y < *north {
-                point.z -= below(point.x, point.y);
+                point.z -= below(&point);
                 writer.write_point(point).map_err(failed)?;
                 count += 1;
             }
@@ -115,7 +123,30 @@ pub fn merge(path: &Path, parts: &[Part], grid: &GridSpec, geoid: Option<Geoid>)
     Ok(count)
 }
 
-fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Point>> {
+/// Index of the cell of a grid in which a point lies; of the nearest cell for points beside the grid.
+fn cell_of(grid: &GridSpec, point: &Point) -> usize {
+    let [col, row] = grid.transform.pixel_from_map(point.x, point.y);
+    let cell = |at: f64, cells: usize| (at.round().max(0.0) as usize).min(cells.saturating_sub(1));
+    cell(row, grid.height) * grid.width + cell(col, grid.width)
+}
+
+/// Class of a point by its height above the ground, NaN where that is unknown, and whether it is green.
+fn class(height_m: f64, is_green: bool) -> Classification {
+    match is_green {
+        true if height_m > HIGH_M => Classification::HighVegetation,
+        true if height_m <= HIGH_M => Classification::LowVegetation,
+        false if height_m <= LOW_M => Classification::Ground,
+        _ => Classification::Unclassified,
+    }
+}
+
+/// Points of a model; `height_m` is the height of a point above the ground.
+fn points(
+    model: &LoadedModel,
+    crs: &Crs,
+    geoid: Option<Geoid>,
+    height_m: impl Fn(&Point) -> f64,
+) -> Result<Vec<Point>> {
     let gaussians = &model.parameters.gaussians;
     let bands = model.file.bands.len();
     let albedo = gaussians.group(ALBEDO);
@@ -143,47 +174,21 @@ fn points(model: &LoadedModel, crs: &Crs, geoid: Option<Geoid>) -> Result<Vec<Po
         let green = index.is_some_and(|index| index.of(|band| colour[band]) > VEGETATION_INDEX);
         let count = |band: usize| (colour[band] / brightest).clamp(0.0, 1.0).powf(1.0 / 2.2) * f32::from(u16::MAX);
         let [red, g, blue] = shown.map(|band| count(band).round() as u16);
-        let class = match green {
-            true => Classification::HighVegetation,
-            false => Classification::Unclassified,
-        };
-        points.push(Point {
+        let mut point = Point {
             x,
             y,
             z: geo.height_m - below,
             return_number: 1,
             number_of_returns: 1,
             is_synthetic: true,
-            // Vegetation height is classified later, when all points are known.
-            classification: class,
             gps_time: Some(0.0),
             color: Some(Color::new(red, g, blue)),
             ..Point::default()
-        });
+        };
+        point.classification = class(height_m(&point), green);
+        points.push(point);
     }
-    tell_high_from_low(&mut points, CELL_M / crs.metres_per_unit());
     Ok(points)
-}
-
-/// Classifies vegetation as low where it stands less than [`HIGH_M`] above the lowest point of its own cell and of
-/// those around it.
-fn tell_high_from_low(points: &mut [Point], cell: f64) {
-    let place = |p: &Point| ((p.x / cell).floor() as i64, (p.y / cell).floor() as i64);
-    let mut lowest: BTreeMap<(i64, i64), f64> = BTreeMap::new();
-    for point in points.iter() {
-        let floor = lowest.entry(place(point)).or_insert(f64::INFINITY);
-        *floor = floor.min(point.z);
-    }
-    let is_high = |point: &&mut Point| point.classification == Classification::HighVegetation;
-    for point in points.iter_mut().filter(is_high) {
-        let (col, row) = place(point);
-        let around = (-1..=1).flat_map(|dc| (-1..=1).map(move |dr| (col + dc, row + dr)));
-        let floors = around.filter_map(|cell| lowest.get(&cell)).copied();
-        let floor = floors.fold(f64::INFINITY, f64::min);
-        if point.z - floor < HIGH_M {
-            point.classification = Classification::LowVegetation;
-        }
-    }
 }
 
 #[cfg(test)]
@@ -191,25 +196,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_lawn_is_low_and_a_tree_on_it_is_high() {
-        let leaf = |x: f64, z: f64| Point {
-            x,
-            z,
-            classification: Classification::HighVegetation,
-            ..Point::default()
-        };
-        let mut points: Vec<Point> = (0..40).map(|i| leaf(f64::from(i), 0.05 * f64::from(i))).collect();
-        points.push(leaf(20.0, 8.0));
-        points.push(Point {
-            classification: Classification::Unclassified,
-            ..leaf(21.0, 9.0)
-        });
-        tell_high_from_low(&mut points, CELL_M);
-        let classes: Vec<Classification> = points.iter().map(|p| p.classification).collect();
-        assert!(classes[..40].iter().all(|c| *c == Classification::LowVegetation));
-        assert_eq!(
-            classes[40..],
-            [Classification::HighVegetation, Classification::Unclassified]
-        );
+    fn lawns_are_low_vegetation_trees_high_and_roofs_no_ground() {
+        assert_eq!(class(0.1, true), Classification::LowVegetation);
+        assert_eq!(class(8.0, true), Classification::HighVegetation);
+        assert_eq!(class(-0.1, false), Classification::Ground);
+        assert_eq!(class(8.0, false), Classification::Unclassified);
+        assert_eq!(class(f64::NAN, true), Classification::Unclassified);
+        assert_eq!(class(f64::NAN, false), Classification::Unclassified);
     }
 }

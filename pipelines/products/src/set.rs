@@ -144,7 +144,7 @@ pub fn write(
     done(1);
     let bands = &model.file.bands;
     let mut writer = Writer::new(&nadir.grid, gsd_m, out)?;
-    writer.surface(&surface, &Surroundings::none(&surface))?;
+    let ground = writer.surface(&surface, &Surroundings::none(&surface))?;
     if let Some(changes) = changes {
         writer.changes(&changes)?;
     }
@@ -170,7 +170,7 @@ pub fn write(
         writer.shadows(date, &shadows, sun)?;
         done(4 + place as u64);
     }
-    let count = points::write(&out.join("points.laz"), model, &nadir.grid.crs, request.geoid)?;
+    let count = points::write(&out.join("points.laz"), model, (&nadir.grid, &ground), request.geoid)?;
     writer.points("points.laz", count);
     let set = writer.finish(&ItemMetadata {
         id,

@@ -192,13 +192,13 @@ impl<'a> Writer<'a> {
         self.raster(names, (raster, &bands), stored, &[], sun)
     }
 
-    /// Writes the surface model, the ground below it, the heights above the ground, and a hillshade. In the products
-    /// folder of a run with an equal surface model, the item refers to that one instead. Altitudes of `around` may refer
+    /// Writes the surface model, the ground below it, the heights above the ground, and a hillshade; returns the ground.
+    /// In the products folder of a run with an equal surface model, the item refers to that one instead. Altitudes of `around` may refer
     /// to another vertical datum.
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub fn surface(&mut self, dsm: &Dsm, around: &Surroundings) -> Result<()> {
+    pub fn surface(&mut self, dsm: &Dsm, around: &Surroundings) -> Result<Raster> {
         self.vertical_datum = dsm.vertical_datum();
         // The parent's path is used, since the folder itself may not exist yet.
         let of_run = self.out.parent().map(|run| run.join("dsm.tif"));
@@ -225,16 +225,17 @@ impl<'a> Writer<'a> {
         self.completeness = dsm.completeness();
         let size = (self.grid.width, self.grid.height);
         let cell_m = self.grid.transform.cell_m(size, Some(&self.grid.crs));
-        self.ground(dsm, around, cell_m[0] as f32)?;
+        let ground = self.ground(dsm, around, cell_m[0] as f32)?;
         let shade = around.inner(&ortho::hillshade(&around.altitude, cell_m), size);
         let names = ("hillshade", "Hillshade of the surface, light from the north-west");
         let (name, unit) = ("shade", "");
         let look = (Some(Bytes::Shades), Style::Shades([1.0, 255.0]));
-        self.raster(names, (&shade, &[Band { name, unit }]), look, &[], None)
+        self.raster(names, (&shade, &[Band { name, unit }]), look, &[], None)?;
+        Ok(ground)
     }
 
-    /// Writes the ground below the surface, and the heights above it.
-    fn ground(&mut self, dsm: &Dsm, around: &Surroundings, cell_m: f32) -> Result<()> {
+    /// Writes the ground below the surface, and the heights above it; returns the ground.
+    fn ground(&mut self, dsm: &Dsm, around: &Surroundings, cell_m: f32) -> Result<Raster> {
         let mut above = around.altitude.clone();
         let draped = drape::ground((above.width, above.height), cell_m, &above.values);
         for (height, ground) in above.values.iter_mut().zip(&draped) {
@@ -253,7 +254,7 @@ impl<'a> Writer<'a> {
         let style = Style::amounts(&above.values);
         self.quantity(("ndsm", title), &above, ("height_above_ground", "metre"), &[], style)?;
         self.above = Some(above);
-        Ok(())
+        Ok(ground)
     }
 
     /// Writes the albedo with a thumbnail and, where there is a vegetation index, the vegetation mask and, after the

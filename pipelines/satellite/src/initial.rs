@@ -113,13 +113,20 @@ fn step_at(surface: &Surface, col: usize, row: usize) -> Option<Step> {
     Some(Step { drop_m, outward })
 }
 
-/// Rotation of a cell's disc: inclined as the surface, or level on steep slopes.
-fn lie(surface: &Surface, col: usize, row: usize) -> Quat {
+/// Rotation and extents, cells, of a cell's disc: inclined as the surface, and as long up the slope as the surface in
+/// the cell, else steep ground has gaps; level where the surface has a step.
+fn lie(surface: &Surface, col: usize, row: usize) -> (Quat, [f32; 2]) {
     let (east, north) = surface.slope(col, row);
-    if east.abs().max(north.abs()) > STEEPEST {
-        return Quat::IDENTITY;
+    let level = Vec3::new(north, -east, 0.0).try_normalize();
+    match level.filter(|_| east.abs().max(north.abs()) <= STEEPEST) {
+        None => (Quat::IDENTITY, [1.0; 2]),
+        Some(level) => {
+            let normal = Vec3::new(-east, -north, 1.0);
+            let up = normal.normalize();
+            let rotation = Quat::from_mat3(&Mat3::from_cols(level, up.cross(level), up));
+            (rotation, [1.0, normal.length()])
+        }
     }
-    Quat::from_rotation_arc(Vec3::Z, Vec3::new(-east, -north, 1.0).normalize())
 }
 
 /// Opacity of Gaussians near a step above ground that is laid under them; training decides which of the two is real
@@ -171,30 +178,26 @@ impl Start<'_> {
                 (true, false) => STEP_OPACITY,
                 (true, true) => DOUBTFUL_SHARE * STEP_OPACITY,
             };
-            let top = Disc {
+            let (rotation, extent_cells) = lie(surface, col, row);
+            discs.add(&Disc {
                 centre: here,
-                rotation: lie(surface, col, row),
+                rotation,
+                extent_cells,
+                opacity,
+            });
+            let level = |z: f32, opacity: f32| Disc {
+                centre: here.with_z(z),
+                rotation: Quat::IDENTITY,
                 extent_cells: [1.0; 2],
                 opacity,
             };
-            discs.add(&top);
             let above_m = surface.above[cell];
             if above_m - here.z > wall_from_m {
                 // Ground that was preferred to a match is uncertain, so training decides between the two.
-                discs.add(&Disc {
-                    centre: Vec3::new(here.x, here.y, above_m),
-                    rotation: Quat::IDENTITY,
-                    opacity: DOUBTFUL_SHARE * STEP_OPACITY,
-                    ..top
-                });
+                discs.add(&level(above_m, DOUBTFUL_SHARE * STEP_OPACITY));
             }
             if above_floor {
-                discs.add(&Disc {
-                    centre: Vec3::new(here.x, here.y, floor_m),
-                    rotation: Quat::IDENTITY,
-                    opacity: OPACITY_SURE,
-                    ..top
-                });
+                discs.add(&level(floor_m, OPACITY_SURE));
             }
             if let Some(step) = step_at(surface, col, row).filter(|step| step.drop_m > wall_from_m) {
                 discs.add_wall(here, &step, opacity);
@@ -285,6 +288,11 @@ fn joined(a: Table, b: Table) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
+    use heliosplat::camera::ProjectiveCamera;
+    use heliosplat::model::shadow_gs::{ShadowGs, ShadowGsOptions};
+    use heliosplat::model::{Parameters, SceneModel};
+    use heliosplat::render::{PassOptions, render};
 
     fn surface(altitude: Vec<f32>, width: usize) -> Surface {
         let count = altitude.len();
@@ -314,6 +322,50 @@ mod tests {
         assert_eq!(table.count, 6);
         assert_eq!(table.position(4), Vec3::new(0.75, -0.75, 3.0));
         assert!((table.rotation(4) * Vec3::Z - Vec3::Z).length() < 1e-6);
+    }
+
+    /// Least alpha of solid Gaussians in the middle of a plane of the given slopes, seen along `tilt`, metres east and
+    /// north per metre up.
+    fn least_alpha(slopes: [f32; 2], tilt: [f64; 2]) -> f32 {
+        let (cells, cell_m) = (41, 0.5f32);
+        let altitude = |cell: usize| {
+            let [east, south] = [cell % cells, cell / cells].map(|i| (i as f32 - 20.0) * cell_m);
+            slopes[0] * east - slopes[1] * south
+        };
+        let plane = surface((0..cells * cells).map(altitude).collect(), cells);
+        let model = ShadowGs::new(ShadowGsOptions::default());
+        let mut parameters = Parameters {
+            gaussians: Start {
+                surface: &plane,
+                covered: &vec![true; cells * cells],
+            }
+            .gaussians(model.feature_groups()),
+            globals: model.initial_globals(0.3),
+        };
+        parameters.gaussians.group_mut(OPACITY).fill(logit(0.99));
+        // Eleven by eleven pixels as large as cells, around the middle of the plane.
+        let middle = f64::from(cell_m) * 20.5;
+        let per_m = 1.0 / f64::from(cell_m);
+        let u = [per_m, 0.0, -tilt[0] * per_m, 5.0 - middle * per_m];
+        let v = [0.0, -per_m, tilt[1] * per_m, 5.0 - middle * per_m];
+        let camera = ProjectiveCamera::new(u, v, [0.0; 3], (11, 11), -DVec3::Z);
+        let rendered = render(&model, &parameters, &camera, None, None, PassOptions::default());
+        rendered.maps.alpha.iter().copied().fold(1.0, f32::min)
+    }
+
+    #[test]
+    fn slopes_have_no_gaps_from_above_nor_from_the_side() {
+        for slope in [0.0, 0.6, 1.0, 1.3, 1.5] {
+            for slopes in [[slope, 0.0], [0.0, -slope], [0.7 * slope, 0.7 * slope]] {
+                for tilt in [[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.3, -0.4]] {
+                    // From behind, the plane hides its own front.
+                    if f64::from(slopes[0]) * tilt[0] + f64::from(slopes[1]) * tilt[1] < 0.7 {
+                        let least = least_alpha(slopes, tilt);
+                        assert!(least > 0.95, "{slopes:?} seen along {tilt:?}: {least}");
+                    }
+                }
+            }
+        }
     }
 
     #[test]

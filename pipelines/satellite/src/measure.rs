@@ -237,7 +237,7 @@ impl<'a> View<'a> {
             None => None,
         };
         let counts = |mask: &Raster| [&rendered.visibility, &rendered.traced].map(|lit| ShadowCounts::of(lit, mask));
-        draw(run, &known.name, truth, rendered, mask.as_ref())?;
+        draw(run, known, truth, rendered, mask.as_ref())?;
         Ok(ViewScores {
             held_out,
             score: score(rendered, truth, rgb),
@@ -279,11 +279,11 @@ fn mean(scores: &[ImageScore]) -> Value {
     out
 }
 
-/// Draws the image, its rendering, and the shadows over the image, side by side. With a true mask, also draws the wrong
-/// shadows: blue for missing ones, red for false ones.
+/// Draws the image and its rendering side by side; under a known sun also the shadows over the image, and with a true
+/// mask the wrong shadows: blue for missing ones, red for false ones.
 fn draw(
     run: &Path,
-    name: &str,
+    known: &ModelImage,
     truth: &Raster,
     rendered: &RenderedView,
     mask: Option<&Raster>,
@@ -291,27 +291,27 @@ fn draw(
     let folder = run.join("views");
     create_folder(&folder)?;
     let left = preview::stretched(truth);
-    let mut shadows = left.clone();
-    let shadow = |v: f32| 1.0 - v;
-    let share = |pick: &dyn Fn(usize) -> f32| {
-        let mut share = rendered.visibility.clone();
-        share.values.iter_mut().enumerate().for_each(|(i, v)| *v = pick(i));
-        share
-    };
-    let visible = &rendered.visibility.values;
-    preview::overlay(&mut shadows, &share(&|i| shadow(visible[i])), [40, 80, 255]);
-    let mut panels = vec![left.clone(), preview::stretched(&rendered.image), shadows];
-    if let Some(mask) = mask {
-        let mut wrong = left;
-        let difference = |i: usize| mask.values[i] - shadow(visible[i]);
-        preview::overlay(&mut wrong, &share(&|i| difference(i).max(0.0)), [40, 80, 255]);
-        preview::overlay(&mut wrong, &share(&|i| (-difference(i)).max(0.0)), [255, 40, 40]);
-        panels.push(wrong);
+    let mut panels = vec![left.clone(), preview::stretched(&rendered.image)];
+    if known.sun.is_some() {
+        let mut overlaid = |shares: &[([u8; 3], &dyn Fn(usize) -> f32)]| {
+            let mut picture = left.clone();
+            for &(colour, share_of) in shares {
+                let mut share = rendered.visibility.clone();
+                share.values.iter_mut().enumerate().for_each(|(i, v)| *v = share_of(i));
+                preview::overlay(&mut picture, &share, colour);
+            }
+            panels.push(picture);
+        };
+        let (blue, red) = ([40, 80, 255], [255, 40, 40]);
+        let shadow = |i: usize| 1.0 - rendered.visibility.values[i];
+        overlaid(&[(blue, &shadow)]);
+        if let Some(mask) = mask {
+            let missing = |i: usize| mask.values[i] - shadow(i);
+            overlaid(&[(blue, &|i| missing(i).max(0.0)), (red, &|i| (-missing(i)).max(0.0))]);
+        }
     }
-    Ok(preview::write_png(
-        &folder.join(format!("{name}.png")),
-        &preview::side_by_side(&panels),
-    )?)
+    let path = folder.join(format!("{}.png", known.name));
+    Ok(preview::write_png(&path, &preview::side_by_side(&panels))?)
 }
 
 /// Writes the surface that training started from; it later provides the sweep's standard deviations for the model's

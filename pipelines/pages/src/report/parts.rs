@@ -118,7 +118,7 @@ pub(super) fn views(run: &Contents) -> Markup {
             p.faint { "The first " (VIEWS_MAX) " of " (images.len()) " views; the others are in views/." }
         }
     };
-    section("Images and shadows by date", body)
+    section("Images by date", body)
 }
 
 /// Panels of this width, pixels, that lie side by side in a picture.
