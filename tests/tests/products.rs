@@ -306,6 +306,23 @@ fn the_point_cloud_has_colours_a_coordinate_system_and_lies_on_the_surface() {
     assert!(points.iter().all(|p| (680.0..720.0).contains(&p.z)));
     let coloured = points.iter().filter(|p| p.color.is_some_and(|c| c.red > 1000)).count();
     assert!(coloured * 2 > points.len(), "{coloured} of {}", points.len());
+    let dtm = Dataset::open(out.join("dtm.tif")).expect("readable");
+    let ground = dtm
+        .rasterband(1)
+        .expect("a band")
+        .read_band_as::<f32>()
+        .expect("readable");
+    let height_m = |p: &las::Point| {
+        let (col, row) = (((p.x - west) / size) as usize, ((north - p.y) / size) as usize);
+        p.z - f64::from(ground.data()[row * width + col])
+    };
+    // The images are panchromatic, so only ground has a class. Coordinates in the file are rounded, so a few points
+    // change their cell.
+    let is_ground = |p: &&las::Point| p.classification == las::point::Classification::Ground;
+    let wrong = |p: &&las::Point| is_ground(p) != (height_m(p) <= 0.5);
+    assert!(points.iter().filter(is_ground).count() > 1000);
+    let wrong = points.iter().filter(wrong).count();
+    assert!(wrong * 100 < points.len(), "{wrong} of {}", points.len());
 }
 
 #[test]
@@ -495,6 +512,8 @@ fn a_run_has_one_surface_model_to_which_its_products_refer() {
     assert_eq!(item["assets"]["dsm_stddev"]["href"], "../dsm_stddev.tif");
     let layers = std::fs::read_to_string(out.join("layers.qlr")).expect("readable");
     assert_eq!(layers.matches("<datasource>../dsm.tif<").count(), 1);
+    let report = std::fs::read_to_string(copy.join("report.html")).expect("readable");
+    assert!(report.contains("href=\"./products/ndsm.tif\""));
     // On another grid it is another surface model.
     json(&products(&[&copy], &out, &["--gsd", "0.25"]));
     assert_eq!(read_json(&out.join("item.json"))["assets"]["dsm"]["href"], "./dsm.tif");

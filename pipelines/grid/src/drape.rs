@@ -288,7 +288,7 @@ mod tests {
     #[test]
     fn patches_far_below_the_ground_do_not_pull_it_down() {
         let (mut surface, truth) = site(|x| 0.2 * x);
-        let is_wrong = |cell: usize| (cell % 200) / 3 % 4 == 0 && (140..146).contains(&(cell / 200));
+        let is_wrong = |cell: usize| ((cell % 200) / 3).is_multiple_of(4) && (140..146).contains(&(cell / 200));
         (0..surface.len())
             .filter(|&cell| is_wrong(cell))
             .for_each(|cell| surface[cell] -= 25.0);

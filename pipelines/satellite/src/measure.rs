@@ -293,21 +293,22 @@ fn draw(
     let left = preview::stretched(truth);
     let mut panels = vec![left.clone(), preview::stretched(&rendered.image)];
     if known.sun.is_some() {
-        let mut overlaid = |shares: &[([u8; 3], &dyn Fn(usize) -> f32)]| {
-            let mut picture = left.clone();
-            for &(colour, share_of) in shares {
-                let mut share = rendered.visibility.clone();
-                share.values.iter_mut().enumerate().for_each(|(i, v)| *v = share_of(i));
-                preview::overlay(&mut picture, &share, colour);
-            }
-            panels.push(picture);
-        };
         let (blue, red) = ([40, 80, 255], [255, 40, 40]);
+        let share = |of: &dyn Fn(usize) -> f32| {
+            let mut share = rendered.visibility.clone();
+            share.values.iter_mut().enumerate().for_each(|(i, v)| *v = of(i));
+            share
+        };
         let shadow = |i: usize| 1.0 - rendered.visibility.values[i];
-        overlaid(&[(blue, &shadow)]);
+        let mut shadows = left.clone();
+        preview::overlay(&mut shadows, &share(&shadow), blue);
+        panels.push(shadows);
         if let Some(mask) = mask {
             let missing = |i: usize| mask.values[i] - shadow(i);
-            overlaid(&[(blue, &|i| missing(i).max(0.0)), (red, &|i| (-missing(i)).max(0.0))]);
+            let mut wrong = left;
+            preview::overlay(&mut wrong, &share(&|i| missing(i).max(0.0)), blue);
+            preview::overlay(&mut wrong, &share(&|i| (-missing(i)).max(0.0)), red);
+            panels.push(wrong);
         }
     }
     let path = folder.join(format!("{}.png", known.name));

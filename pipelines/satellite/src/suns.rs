@@ -68,6 +68,7 @@ fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<Sha
     let views = ground.sweep_views(&rasters, &shifts_px);
     let covered = surface.supported();
     let suns = find_suns(&views, surface, &covered, ground.frame.origin.lat_deg);
+    let mut unreliable = Vec::new();
     for (image, sun) in ground.images.iter().zip(suns) {
         if let Some(sun) = sun {
             let name = &image.name;
@@ -77,7 +78,7 @@ fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<Sha
                     sun.azimuth_deg,
                     sun.elevation_deg
                 ),
-                false => tracing::info!("{name}: sun from shadows not reliable (correlation {:.2})", sun.score),
+                false => unreliable.push(format!("{name} ({:.2})", sun.score)),
             }
             tracing::debug!(
                 "{}: shadows say azimuth {:.1}, elevation {:.1} degrees, deviation {:.2}, correlation {:.2}, ahead by {:.1}",
@@ -92,6 +93,12 @@ fn found(scene: &Scene, swept: &Preprocess, surface: &Surface) -> Vec<Option<Sha
         if let Some(place) = place_in(scene, image) {
             found[place] = sun;
         }
+    }
+    if !unreliable.is_empty() {
+        tracing::info!(
+            "Suns from shadows not reliable (correlation): {}",
+            unreliable.join(", ")
+        );
     }
     found
 }

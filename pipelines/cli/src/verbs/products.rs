@@ -5,6 +5,7 @@ use crate::outcome::{CliError, Outcome};
 use crate::outputs::Inputs;
 use crate::parse;
 use clap::Args;
+use heliosplat_pages::report;
 use heliosplat_products::model;
 use heliosplat_products::set::{self, Request};
 use heliosplat_products::stac;
@@ -70,7 +71,12 @@ pub(crate) fn run(args: &ProductsArgs, session: &Session) -> Result<Outcome, Cli
         let part_of = several.then_some((collection.as_str(), "../collection.json"));
         let set = write_run(args, run, &folder, (id, part_of), session)?;
         let (path, count, share) = (folder.display(), set.names.len(), 100.0 * set.completeness);
-        text += &format!("{path}: {count} files, {share:.1} % of the ground known\n");
+        text += &format!("{path}: {count} files, {share:.1} % of the ground known\nQGIS layers    {path}/layers.qlr\n");
+        // The report of a run lists its products.
+        if folder == run.join("products") && run.join(report::FILE).is_file() {
+            let page = report::write(run)?;
+            text += &format!("report         {}   (open it in a browser)\n", page.display());
+        }
         items.push((id.clone(), set.item));
         files.extend(set.names.iter().map(|name| folder.join(name)));
     }
