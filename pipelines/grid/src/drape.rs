@@ -8,7 +8,8 @@
 //! in Lallement et al., "Bulldozer, a free open source scalable software for DTM extraction", ISPRS Archives XLIII-B4,
 //! 2022. The implementation is our own.
 //!
-//! Limits: objects wider than `WIDEST_M` count as ground; steep hills and ground above cliffs are too low; below buildings on a slope the ground is a smooth span.
+//! Limits: objects wider than `WIDEST_M` count as ground; steep hills and ground above cliffs are too low; below
+//! buildings on a slope the ground is a smooth span.
 
 use crate::in_parallel;
 use rayon::prelude::*;
