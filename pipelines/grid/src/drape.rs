@@ -3,10 +3,10 @@
 //! The cloth is stiff and is lifted step by step until it meets the surface: it lies on the ground, and spans buildings
 //! from one side to the other. It starts on a coarse grid, on which the widest building is about a cell wide, and
 //! continues on ever finer ones. On coarse grids it resists bending away from its shape on the next coarser one, so
-//! slopes and valleys stay; on fine ones away from level, so it does not rise onto wide roofs. The idea is that of the cloth simulation filter (Zhang et al., "An easy-to-use
-//! airborne LiDAR data filtering method based on cloth simulation", Remote Sensing 8, 2016) on a pyramid of grids, as
-//! in Lallement et al., "Bulldozer, a free open source scalable software for DTM extraction", ISPRS Archives XLIII-B4,
-//! 2022. The implementation is our own.
+//! slopes and valleys stay; on fine ones away from level, so it does not rise onto wide roofs. The idea is that of the
+//! cloth simulation filter (Zhang et al., "An easy-to-use airborne LiDAR data filtering method based on cloth
+//! simulation", Remote Sensing 8, 2016) on a pyramid of grids, as in Lallement et al., "Bulldozer, a free open source
+//! scalable software for DTM extraction", ISPRS Archives XLIII-B4, 2022. The implementation is our own.
 //!
 //! Limits: objects wider than `WIDEST_M` count as ground; steep hills and ground above cliffs are too low; below
 //! buildings on a slope the ground is a smooth span.

@@ -403,16 +403,21 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
             ("DSM MAE", "/dsm/mae_m", 1.0, &all),
             ("DSM MAE", "/dsm/ground_and_buildings/mae_m", 1.0, &ground),
             ("DSM median", "/dsm/median_m", 1.0, &all),
-            ("shadow BER", "/shadow/ber", 100.0, "%"),
-            ("... traced", "/shadow/traced/ber", 100.0, "% (without the image)"),
-            ("shadows right", "/shadow/accuracy", 100.0, "%"),
+            ("shadow masks", "/shadow/accuracy", 100.0, "% right"),
+            ("... BER", "/shadow/ber", 100.0, "% (balanced error)"),
+            (
+                "... traced BER",
+                "/shadow/traced/ber",
+                100.0,
+                "% (balanced error from geometry alone)",
+            ),
             (
                 "reopened",
                 "/lowered/area_m2",
                 1.0,
                 "m² of shaded courtyards and alleys",
             ),
-            ("changed", "/change/segments", 1.0, "buildings between the images"),
+            ("changed", "/change/segments", 1.0, "buildings (between the images)"),
             (
                 "... precision",
                 "/change/truth/precision",
@@ -452,7 +457,11 @@ fn lines_of(metrics: &Value, rows: &[(&str, &str, f64, &str)]) -> Vec<String> {
         let value = metrics.pointer(place)?;
         let number = value.as_f64()?;
         let shown = number > 0.0 || !SHOWN_ABOVE_ZERO.contains(&place);
-        let digits = if value.is_u64() { 0 } else { 3 };
+        let digits = match value.is_u64() {
+            true => 0,
+            false if factor == 100.0 => 1,
+            false => 3,
+        };
         shown.then(|| format!("{label:<14} {:.digits$} {unit}", factor * number))
     };
     rows.iter().filter_map(line).collect()

@@ -242,6 +242,7 @@ fn changes(
     let changes = change::find(&views(ground, rasters, &indices, shifts_px), &days, request, surface);
     match changes.segments.len() {
         0 => tracing::info!("No changed buildings found"),
+        1 => tracing::info!("1 building changed between the images"),
         count => tracing::info!("{count} buildings changed between the images"),
     }
     tracing::debug!("changes took {:.1} s", begun.elapsed().as_secs_f64());

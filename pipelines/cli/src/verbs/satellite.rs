@@ -165,7 +165,20 @@ fn surface_of_run(args: &DsmArgs, crs: Option<&str>) -> Result<(Dsm, f64), CliEr
     CliError::refuse("dsm", &swept, "for --from sweep; a run knows its own")?;
     Inputs::of_run(&args.run).keep_surface(&args.out)?;
     let model = match args.date {
-        Some(date) => load_whole(&args.run)?.on(as_day(date)),
+        Some(date) => {
+            let model = load_whole(&args.run)?;
+            let first = model
+                .file
+                .images
+                .iter()
+                .filter_map(|image| image.time)
+                .min()
+                .map(day_of);
+            if first.is_some_and(|first| as_day(date) < first) {
+                tracing::warn!("no image was taken by {date}: the surface is that of the first one");
+            }
+            model.on(as_day(date))
+        }
         None => load(&args.run)?,
     };
     let gsd_m = args.gsd.unwrap_or(model.file.gsd_m);
@@ -185,10 +198,9 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     let sun = sun.ok_or_else(wanted)?;
     let relit = relight::Viewpoint::new(&model, &args.view)?.relit(&sun)?;
     let mask = relit.write(&args.out)?;
-    let (azimuth, elevation) = (sun.azimuth_rad.to_degrees(), sun.elevation_rad.to_degrees());
+    let [azimuth, elevation] = sun.degrees();
     let (out, shadow) = (args.out.display(), mask.display());
-    let at = format!("sun at azimuth {azimuth:.2}, elevation {elevation:.2}");
-    let text = format!("{out} and {shadow}: {at}; {}", relit.exposure);
+    let text = format!("Wrote {out} and {shadow}; sun azimuth {azimuth:.2}°, elevation {elevation:.2}°");
     let json = json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation, "exposure": relit.exposure});
     Ok(Outcome::new(text, json))
 }
