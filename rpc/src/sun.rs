@@ -40,15 +40,15 @@ impl SunPosition {
         }
     }
 
-    /// Position from azimuth (-360 to 720) and elevation (-90 to 90) in degrees, checked.
+    /// Position from azimuth (-180 to 360) and elevation (-90 to 90) in degrees, checked.
     ///
     /// # Errors
     /// A message with both angles, where one is outside of its range or not finite.
     pub fn stated(azimuth_deg: f64, elevation_deg: f64) -> Result<Self, String> {
-        match (-360.0..=720.0).contains(&azimuth_deg) && (-90.0..=90.0).contains(&elevation_deg) {
+        match (-180.0..=360.0).contains(&azimuth_deg) && (-90.0..=90.0).contains(&elevation_deg) {
             true => Ok(Self::from_degrees(azimuth_deg, elevation_deg)),
             false => Err(format!(
-                "a sun at azimuth {azimuth_deg}, elevation {elevation_deg} is not possible; expected -360 to 720 and -90 to 90 degrees"
+                "a sun at azimuth {azimuth_deg}, elevation {elevation_deg} is not possible; expected -180 to 360 and -90 to 90 degrees"
             )),
         }
     }

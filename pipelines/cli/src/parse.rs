@@ -20,9 +20,6 @@ pub fn pair(text: &str) -> Result<[f64; 2], String> {
 /// Message for the user with the expected form or range.
 pub fn sun(text: &str) -> Result<SunPosition, String> {
     let [azimuth, elevation] = pair(text)?;
-    if !(-180.0..=360.0).contains(&azimuth) {
-        return Err(format!("azimuth {azimuth} is not between -180 and 360 degrees"));
-    }
     SunPosition::stated(azimuth, elevation)
 }
 

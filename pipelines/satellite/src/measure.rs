@@ -417,7 +417,7 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
                 1.0,
                 "m² of shaded courtyards and alleys",
             ),
-            ("changed", "/change/segments", 1.0, "buildings (between the images)"),
+            ("buildings", "/change/segments", 1.0, "changed between the images"),
             (
                 "... precision",
                 "/change/truth/precision",
