@@ -297,12 +297,23 @@ fn normal_step(
         let predicted = predict(parameters, p);
         for (axis, offset) in [(0, 0), (1, 4)] {
             let image = if linear { sample.pixel[axis] } else { predicted[axis] };
-            let mut row = Parameters::zeros();
-            row.fixed_rows_mut::<3>(offset).copy_from(&(p / denominator));
-            row[offset + 3] = 1.0 / denominator;
-            row.fixed_rows_mut::<3>(8).copy_from(&(p * (-image / denominator)));
-            normal += row * row.transpose() * weight;
-            right += row * (weight * (sample.pixel[axis] - predicted[axis]));
+            let (slope, by_denominator) = (p / denominator, p * (-image / denominator));
+            // Seven of the eleven derivatives are not zero. The factorisation reads the lower triangle alone.
+            let derivatives = [
+                (offset, slope.x),
+                (offset + 1, slope.y),
+                (offset + 2, slope.z),
+                (offset + 3, 1.0 / denominator),
+                (8, by_denominator.x),
+                (9, by_denominator.y),
+                (10, by_denominator.z),
+            ];
+            for (i, &(at, by)) in derivatives.iter().enumerate() {
+                for &(other, by_other) in &derivatives[..=i] {
+                    normal[(at, other)] += by * by_other * weight;
+                }
+                right[at] += by * (weight * (sample.pixel[axis] - predicted[axis]));
+            }
         }
     }
     let sigma = RESIDUAL_SIGMA_PX / normalisation.image_scale_px;

@@ -11,6 +11,7 @@ use heliosplat_satellite::config::SatelliteConfig;
 use heliosplat_satellite::estimate::{Estimate, Extent, PROGRAM_BYTES, estimate_of, sweep_estimate};
 use heliosplat_scene::AreaRequest;
 use heliosplat_scene::survey::{Survey, TileSurvey};
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// Bytes per pixel and band of the images that a tile reads: the values, and half as much for reading.
@@ -153,27 +154,28 @@ fn try_cut(
     let level = |row: usize| north - cell * (grid.height * row / rows) as f64;
     let mut tiles = Vec::new();
     for row in 0..rows {
-        for col in 0..cols {
+        let tile = |col: usize| -> Result<Option<Tile>> {
             let core = [line(col), level(row + 1), line(col + 1), level(row)];
             let [left, bottom, right, top] = core;
             let wider = [left - overlap, bottom - overlap, right + overlap, top + overlap];
             let (bounds, crs) = (common(wider, bounds), Some(grid.crs.definition().to_owned()));
             let area = AreaRequest { bounds, crs };
-            let Some(survey) = request.survey.tile(&area)? else {
-                continue;
-            };
-            let estimate = estimate(request, &survey);
-            if let Some(too_much) = too_much(request.options, &estimate) {
-                return Ok(Err(too_much));
-            }
-            tiles.push(Tile {
+            let survey = request.survey.tile(&area)?;
+            Ok(survey.map(|survey| Tile {
                 row,
                 col,
                 core,
                 area,
+                estimate: estimate(request, &survey),
                 survey,
-                estimate,
-            });
+            }))
+        };
+        for tile in (0..cols).into_par_iter().map(tile).collect::<Vec<_>>() {
+            let Some(tile) = tile? else { continue };
+            if let Some(too_much) = too_much(request.options, &tile.estimate) {
+                return Ok(Err(too_much));
+            }
+            tiles.push(tile);
         }
     }
     if let Some(too_far) = too_far(request, &tiles, (rows, cols))? {
@@ -201,8 +203,9 @@ fn too_far(request: &Request, tiles: &[Tile], (rows, cols): (usize, usize)) -> R
     };
     let places: BTreeSet<usize> = places.filter_map(nearest).collect();
     for tile in places.into_iter().filter_map(|place| tiles.get(place)) {
-        let residual_px = request.survey.residual_px(&tile.area)?;
-        if residual_px > request.options.residual_px {
+        let most_px = request.options.residual_px;
+        let residual_px = request.survey.residual_px(&tile.area, most_px)?;
+        if residual_px > most_px {
             return Ok(Some(TooMuch {
                 what: format!("{residual_px:.3} px off their rational cameras"),
                 remedy: "give a narrower altitude_m, or a larger tiles.residual_px",

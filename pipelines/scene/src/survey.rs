@@ -10,6 +10,9 @@ use heliosplat_raster::Window;
 use heliosplat_rpc::LocalFrame;
 use rayon::prelude::*;
 
+/// Pinhole cameras fitted in parallel before their residuals are looked at.
+const FITS_AT_ONCE: usize = 8;
+
 /// Size of a cut, without its pixels.
 pub struct Survey<'a> {
     /// Index of the delivery.
@@ -165,17 +168,25 @@ impl<'a> Survey<'a> {
         }))
     }
 
-    /// Largest residual of the pinhole cameras fitted to a tile, pixels.
+    /// Residual of the pinhole cameras fitted to a tile, pixels: the largest of all images, or one beyond `most_px`, at
+    /// which the search ends.
     ///
     /// # Errors
     /// When the coordinates of the tile cannot be transformed, or a camera does not see it.
-    pub fn residual_px(&self, wanted: &AreaRequest) -> Result<f64> {
+    pub fn residual_px(&self, wanted: &AreaRequest, most_px: f64) -> Result<f64> {
         let (frame, _, shown) = self.shown(wanted)?;
-        let shown_fits = shown.par_iter();
-        let fits = shown_fits.map(|(image, _, window)| fit(image, window, &frame, self.altitude_range_m));
-        let fits: Vec<_> = fits.collect();
-        fits.into_iter()
-            .try_fold(0.0, |most, fit| Ok(f64::max(most, fit?.max_px)))
+        let mut largest_px = 0.0;
+        for some in shown.chunks(FITS_AT_ONCE) {
+            let fits = some.par_iter();
+            let fits = fits.map(|(image, _, window)| fit(image, window, &frame, self.altitude_range_m));
+            for fit in fits.collect::<Vec<_>>() {
+                largest_px = f64::max(largest_px, fit?.max_px);
+            }
+            if largest_px > most_px {
+                break;
+            }
+        }
+        Ok(largest_px)
     }
 
     /// Share of an area that at least two training images show, from a grid of sample points.
