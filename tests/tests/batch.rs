@@ -280,6 +280,28 @@ fn the_blocks_of_a_mosaic_have_the_values_of_one_piece() {
             && page.contains("Tile-edge consistency")
     );
     assert!(joined.join("sun.html").is_file());
+    let text = |path: PathBuf| std::fs::read_to_string(path).expect("a text");
+    let layers = text(joined.join("layers.qlr"));
+    assert!(layers.contains("./dsm.vrt") && layers.contains("./hillshade.vrt") && !layers.contains(".tif"));
+    // Heights have one colour in all blocks: the style has the range of all.
+    let range = |folder: &Path| {
+        let style = text(folder.join("dsm.qml"));
+        let number = |name: &str| {
+            let (_, rest) = style.split_once(&format!("{name}=\"")).expect("a range");
+            rest.split('"')
+                .next()
+                .and_then(|text| text.parse::<f32>().ok())
+                .expect("a number")
+        };
+        [number("minimumValue"), number("maximumValue")]
+    };
+    let all = blocks.iter().map(|block| range(block));
+    let widest = all.fold([f32::MAX, f32::MIN], |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+    assert_eq!(range(&joined), widest);
+    assert!(
+        layers.contains(&format!("minimumValue=\"{}\"", widest[0])),
+        "{widest:?}"
+    );
     // In one piece again, nothing of the blocks is left in the folder.
     std::fs::write(home.path().join("batch.toml"), FOUR_TILES).expect("written");
     json(&batch(home.path(), "out", &[]));

@@ -14,10 +14,12 @@ use heliosplat_pages::{report, view};
 use heliosplat_products::blend::BANDS;
 use heliosplat_products::dsm::{self, Dsm};
 use heliosplat_products::export::{TILESET, join_tilesets};
+use heliosplat_products::style::{Layer, Style, layer_file};
+use heliosplat_products::writer::LAYERS;
 use heliosplat_raster::virtual_raster::{Part, virtual_raster};
 use heliosplat_raster::{GridSpec, ImageSpec, RasterFile, bounded, preview, write_atomically, write_cog};
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Most cells of the overview: those of the page.
@@ -71,7 +73,7 @@ pub(super) fn join(work: &JoinedWork, unit: &str, out: &Path, folder: &Path) -> 
     if blocks.is_empty() {
         return Ok(nothing(unit));
     }
-    let mut outputs = virtual_rasters(&grid, &blocks, folder)?;
+    let mut outputs = virtual_rasters(unit, &grid, &blocks, folder)?;
     outputs.extend(overview(&grid, &blocks, work, &folder.join(OVERVIEW))?);
     for name in [SPLATS, SURFACE] {
         let file = format!("{name}/{TILESET}");
@@ -93,12 +95,17 @@ pub(super) fn join(work: &JoinedWork, unit: &str, out: &Path, folder: &Path) -> 
     Ok((outputs, metrics))
 }
 
-/// Writes a virtual raster for each raster of the blocks, with the style of the first block that has one.
-fn virtual_rasters(grid: &GridSpec, blocks: &[Block], folder: &Path) -> Result<Vec<String>> {
+/// Writes a virtual raster for each raster of the blocks, with a style for the range of all, and a layer file.
+fn virtual_rasters(unit: &str, grid: &GridSpec, blocks: &[Block], folder: &Path) -> Result<Vec<String>> {
     let files = blocks.iter().flat_map(|block| &block.stamp.outputs);
     let is_raster = |path: &&str| path.ends_with(".tif") && !path.contains('/');
     let names: BTreeSet<&str> = files.map(|output| output.path.as_str()).filter(is_raster).collect();
-    let mut outputs = Vec::new();
+    let read = |block: &&Block, name: &str| {
+        let path = block.folder.join(name);
+        let text = bounded::read_text(&path);
+        text.map_err(|error| BatchError::Failed(format!("{}: {error}", path.display())))
+    };
+    let (mut outputs, mut styles) = (Vec::new(), BTreeMap::new());
     for name in names {
         let with: Vec<&Block> = blocks.iter().filter(|block| block.has(name)).collect();
         let mut first = None;
@@ -116,13 +123,21 @@ fn virtual_rasters(grid: &GridSpec, blocks: &[Block], folder: &Path) -> Result<V
         write_atomically(&folder.join(&file), text.as_bytes())?;
         outputs.push(file);
         let style = name.replace(".tif", ".qml");
-        if let Some(block) = with.iter().find(|block| block.has(&style)) {
-            let path = block.folder.join(&style);
-            let text = bounded::read_text(&path);
-            let text = text.map_err(|error| BatchError::Failed(format!("{}: {error}", path.display())))?;
+        let texts = with.iter().filter(|block| block.has(&style));
+        let texts: Vec<String> = texts.map(|block| read(block, &style)).collect::<Result<_>>()?;
+        let whole = Style::of_joined(&texts);
+        if let Some(text) = whole.as_ref().map(Style::qml).as_ref().or(texts.first()) {
             write_atomically(&folder.join(&style), text.as_bytes())?;
             outputs.push(style);
         }
+        styles.insert(name.to_owned(), whole);
+    }
+    // The block with the most products has all layers.
+    let with = blocks.iter().filter(|block| block.has(LAYERS));
+    if let Some(block) = with.max_by_key(|block| block.stamp.outputs.len()) {
+        let layers = Layer::of_virtual(&read(&block, LAYERS)?, &styles);
+        write_atomically(&folder.join(LAYERS), layer_file(unit, &layers).as_bytes())?;
+        outputs.push(LAYERS.into());
     }
     Ok(outputs)
 }

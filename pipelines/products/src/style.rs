@@ -8,6 +8,7 @@ use heliosplat::Raster;
 use heliosplat_grid::statistics::quantile;
 use heliosplat_raster::virtual_raster::escaped;
 use heliosplat_raster::{Crs, Result, write_atomically};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -93,6 +94,41 @@ impl Style {
     /// Style of a mask by the name of its band, which is also its label.
     pub fn mask(name: &'static str) -> Self {
         Self::Mask(name, if name == "vegetation" { "#2e8b3a" } else { "#14143c" })
+    }
+
+    /// Style in the style file `qml` of this module; `None` for a mask, which has no range.
+    fn read(qml: &str) -> Option<Self> {
+        let between = |before: &str, after: &str| Some(qml.split_once(before)?.1.split_once(after)?.0);
+        let number = |before, after| between(before, after)?.parse::<f32>().ok();
+        let band = |name: &str| between(&format!("{name}Band=\""), "\"")?.parse().ok();
+        if let (Some(low), Some(high)) = (number("minimumValue=\"", "\""), number("maximumValue=\"", "\"")) {
+            let has = |colours: [&str; 5]| qml.contains(colours[1]);
+            return Some(match (has(GROUND), has(FELL_AND_ROSE)) {
+                (true, _) => Self::Heights([low, high]),
+                (_, true) => Self::Differences(high),
+                _ => Self::Amounts([low, high]),
+            });
+        }
+        let range = [number("<minValue>", "<")?, number("<maxValue>", "<")?];
+        match (band("red"), band("green"), band("blue")) {
+            (Some(red), Some(green), Some(blue)) => Some(Self::Colours([red, green, blue], range)),
+            _ => Some(Self::Shades(range)),
+        }
+    }
+
+    /// Style of a raster that is joined from rasters with these style files: that of the first, with the widest range.
+    pub fn of_joined(qmls: &[String]) -> Option<Self> {
+        let mut styles = qmls.iter().filter_map(|qml| Self::read(qml));
+        let first = styles.next()?;
+        let wider = |[low, high]: [f32; 2], by: [f32; 2]| [low.min(by[0]), high.max(by[1])];
+        Some(styles.fold(first, |whole, part| match (whole, part) {
+            (Self::Heights(a), Self::Heights(b)) => Self::Heights(wider(a, b)),
+            (Self::Amounts(a), Self::Amounts(b)) => Self::Amounts(wider(a, b)),
+            (Self::Differences(a), Self::Differences(b)) => Self::Differences(a.max(b)),
+            (Self::Shades(a), Self::Shades(b)) => Self::Shades(wider(a, b)),
+            (Self::Colours(bands, a), Self::Colours(_, b)) => Self::Colours(bands, wider(a, b)),
+            (whole, _) => whole,
+        }))
     }
 
     /// True if the layer is visible when its group is opened.
@@ -197,6 +233,29 @@ impl Layer {
     }
 }
 
+impl Layer {
+    /// Layers of the virtual rasters (`.vrt`) over the rasters in `layers`, the layer file of one of their parts, with
+    /// the styles of the virtual rasters.
+    pub fn of_virtual(layers: &str, styles: &BTreeMap<String, Option<Style>>) -> Vec<Self> {
+        let at = |file: &str| layers.find(&format!("source=\"{}\"", escaped(&located(file))));
+        let mut files: Vec<_> = styles
+            .iter()
+            .filter_map(|(file, style)| Some((at(file)?, file, style)))
+            .collect();
+        files.sort_by_key(|(at, ..)| *at);
+        let layer = |(_, file, style): (usize, &String, &Option<Style>)| {
+            let Self { tree, map, .. } = Self::earlier(layers, file)?;
+            let map = match (style, map.split_once(" <pipe>"), map.split_once("</pipe>\n")) {
+                (Some(style), Some((before, _)), Some((_, after))) => format!("{before}{}{after}", style.pipe()),
+                _ => map,
+            };
+            let [file, tree, map] = [file, &tree, &map].map(|text| text.replace(".tif", ".vrt"));
+            Some(Self { file, tree, map })
+        };
+        files.into_iter().filter_map(layer).collect()
+    }
+}
+
 /// Reference to a file in the folder or in another one, as in layer files and items.
 pub(crate) fn located(file: &str) -> String {
     match file.starts_with("../") {
@@ -277,6 +336,42 @@ mod tests {
         assert!(!text.contains(['{', '}']) && text.contains("a&amp;b.tif") && text.contains("a &lt;b&gt;"));
         assert_eq!(text.matches("<maplayer ").count(), 6);
         assert_eq!(text.matches("<authid>EPSG:32637</authid>").count(), 6);
+    }
+
+    #[test]
+    fn a_joined_raster_has_the_widest_range_of_its_parts() {
+        let joined = |styles: &[Style]| Style::of_joined(&styles.iter().map(Style::qml).collect::<Vec<_>>());
+        let [low, high] = [[-3.5, 20.0], [8.0, 412.25]];
+        for kind in [Style::Heights, Style::Amounts, Style::Shades, |range| {
+            Style::Colours([3, 2, 1], range)
+        }] {
+            assert_eq!(joined(&[kind(low), kind(high)]), Some(kind([-3.5, 412.25])));
+        }
+        let differences = [Style::Differences(2.0), Style::Differences(1.5)];
+        assert_eq!(joined(&differences), Some(Style::Differences(2.0)));
+        assert_eq!(joined(&[Style::mask("shadow"), Style::mask("shadow")]), None);
+    }
+
+    #[test]
+    fn layers_of_virtual_rasters_keep_the_titles_and_order_of_their_parts() {
+        let crs = Crs::from_epsg(32_637).expect("UTM");
+        let part = [
+            Layer::new("hillshade.tif", "Relief", &Style::Shades([1.0, 255.0]), &crs),
+            Layer::new("dsm.tif", "Heights", &Style::Heights([1.0, 2.0]), &crs),
+            Layer::new("shadow.tif", "Shadow", &Style::mask("shadow"), &crs),
+        ];
+        let whole = Style::Heights([1.0, 77.5]);
+        let styles = [
+            ("dsm.tif", Some(whole.clone())),
+            ("hillshade.tif", None),
+            ("shadow.tif", None),
+        ];
+        let styles = styles.map(|(file, style)| (file.to_owned(), style)).into();
+        let layers = Layer::of_virtual(&layer_file("block", &part), &styles);
+        let files: Vec<&str> = layers.iter().map(|layer| layer.file.as_str()).collect();
+        assert_eq!(files, ["hillshade.vrt", "dsm.vrt", "shadow.vrt"]);
+        assert!(layers[1].tree.contains("name=\"Heights\"") && layers[1].map.contains(&whole.pipe()));
+        assert!(!layer_file("whole", &layers).contains(".tif"));
     }
 
     #[test]

@@ -20,7 +20,7 @@ use std::path::Path;
 /// Name of the STAC item.
 const ITEM: &str = "item.json";
 /// Name of the layer file.
-const LAYERS: &str = "layers.qlr";
+pub const LAYERS: &str = "layers.qlr";
 /// The surface model of the run whose products a folder holds.
 const OF_RUN: &str = "../dsm.tif";
 /// Name of the small picture, and its longest side, pixels.

@@ -152,6 +152,13 @@ fn borders(mosaic: &Folder) -> Markup {
     ];
     let metric = |key: &str, name: &str| mosaic.number(&format!("/seams/{key}/{name}"));
     let measured = steps.iter().filter(|(key, _)| metric(key, "mean_m").is_some());
+    // A mosaic in blocks has means of its blocks alone.
+    let columns = [
+        ("mean_m", "mean, m"),
+        ("median_m", "median, m"),
+        ("p95_m", "95th percentile, m"),
+    ];
+    let columns = || columns.iter().filter(|(name, _)| metric("border", name).is_some());
     let overlaps = mosaic.list("/seams/overlaps");
     let tile = |overlap: &Value, place: usize| {
         let unit = overlap["tiles"][place].as_str().unwrap_or("");
@@ -162,11 +169,11 @@ fn borders(mosaic: &Folder) -> Markup {
             h2 { "Tile-edge consistency" }
             p { "Height steps between neighbouring cells." }
             div.wide { table {
-                tr { th { "cells" } th { "mean, m" } th { "median, m" } th { "95th percentile, m" } th { "above 1 m, %" } }
+                tr { th { "cells" } @for (_, label) in columns() { th { (label) } } th { "above 1 m, %" } }
                 @for (key, label) in measured {
                     tr {
                         td { (label) }
-                        @for name in ["mean_m", "median_m", "p95_m"] { td { (number(metric(key, name), 3)) } }
+                        @for (name, _) in columns() { td { (number(metric(key, name), 3)) } }
                         td { (number(metric(key, "above_1m").map(|share| 100.0 * share), 1)) }
                     }
                 }
