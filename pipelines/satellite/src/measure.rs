@@ -386,10 +386,20 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
         .pointer("/dsm/protocol")
         .and_then(Value::as_str)
         .unwrap_or("raw");
-    let (all, ground) = (
-        format!("m ({protocol})"),
-        format!("m ({protocol}, ground, roads and buildings)"),
+    // The surfaces before and after training know other cells.
+    let of_truth = |place: &str| {
+        let share = metrics.pointer(place).and_then(Value::as_f64);
+        share.map_or(String::new(), |share| format!(", {:.1} % of the truth", 100.0 * share))
+    };
+    let start = format!(
+        "m (raw, plane sweep before training{})",
+        of_truth("/start/completeness")
     );
+    let [all, ground, middle] = [
+        format!("m ({protocol}{})", of_truth("/dsm/completeness")),
+        format!("m ({protocol}, ground, roads and buildings)"),
+        format!("m ({protocol})"),
+    ];
     lines_of(
         metrics,
         &[
@@ -399,10 +409,10 @@ pub fn accuracy(metrics: &Value) -> Vec<String> {
                 1.0,
                 "(numbers that were not finite)",
             ),
-            ("start MAE", "/start/mae_m", 1.0, "m (raw, plane sweep before training)"),
+            ("start MAE", "/start/mae_m", 1.0, &start),
             ("DSM MAE", "/dsm/mae_m", 1.0, &all),
             ("DSM MAE", "/dsm/ground_and_buildings/mae_m", 1.0, &ground),
-            ("DSM median", "/dsm/median_m", 1.0, &all),
+            ("DSM median", "/dsm/median_m", 1.0, &middle),
             ("shadow masks", "/shadow/accuracy", 100.0, "% right"),
             ("... BER", "/shadow/ber", 100.0, "% (balanced error)"),
             (
