@@ -10,8 +10,7 @@ use super::{BatchError, Result};
 use heliosplat_fitting::program::build;
 use heliosplat_fitting::run_folder::create_folder;
 use heliosplat_pages::summary::{Row, State};
-use heliosplat_session::Progress;
-use heliosplat_session::Session;
+use heliosplat_session::{Progress, Session, about_left};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -85,6 +84,7 @@ impl Batch<'_> {
         let waits = units.iter().map(|unit| unit.after.iter().map(place).collect());
         let waits: Vec<Vec<usize>> = waits.collect::<Result<_, _>>()?;
         let order = order(units);
+        let begun = Instant::now();
         let progress = session.progress("units", units.len() as u64);
         let mut running: Vec<Running> = Vec::new();
         let mut looks = 0;
@@ -110,7 +110,13 @@ impl Batch<'_> {
             for mut r in running {
                 match r.child.try_wait() {
                     Ok(None) => left.push(r),
-                    Ok(Some(status)) => self.ended(&mut rows[r.place], &r, status.code(), session),
+                    Ok(Some(status)) => {
+                        self.ended(&mut rows[r.place], &r, status.code(), session);
+                        if rows[r.place].state == State::Done {
+                            let (seconds, left) = (r.begun.elapsed().as_secs_f64(), self.left(&rows, begun));
+                            tracing::info!("{}: done in {seconds:.1} s; {left}", r.unit.id);
+                        }
+                    }
                     Err(error) => rows[r.place].fail(error.to_string()),
                 }
             }
@@ -189,14 +195,26 @@ impl Batch<'_> {
         child.map_err(|error| failed(format!("it cannot be started ({error})")))
     }
 
+    /// Number of units that are finished, and the time left: that of this run since it has `begun`, by the estimated
+    /// times of the units.
+    fn left(&self, rows: &[Row], begun: Instant) -> String {
+        let estimated = |wanted: &dyn Fn(State) -> bool| -> f64 {
+            let units = self.plan.units.iter().zip(rows).filter(|(_, row)| wanted(row.state));
+            units.map(|(unit, _)| unit.runtime_s as f64).sum()
+        };
+        let left = estimated(&|state| !state.is_final()) / estimated(&|state| state == State::Done);
+        let finished = rows.iter().filter(|row| row.state.is_done()).count();
+        let text = format!("{finished} of {} units", rows.len());
+        match rows.iter().all(|row| row.state.is_final()) {
+            true => text,
+            false => format!("{text}, {}", about_left(left * begun.elapsed().as_secs_f64())),
+        }
+    }
+
     fn ended(&self, row: &mut Row, running: &Running, code: Option<i32>, session: &Session) {
         let unit = running.unit;
-        let seconds = running.begun.elapsed().as_secs_f64();
         match (code, finished(self.out, unit)) {
-            (Some(0), Some(stamp)) => {
-                row::finish(row, State::Done, &stamp);
-                tracing::info!("{}: done in {seconds:.1} s", unit.id);
-            }
+            (Some(0), Some(stamp)) => row::finish(row, State::Done, &stamp),
             (Some(130), _) if session.stopped() => row.state = State::Pending,
             (code, _) => {
                 let line = last_error(&log_of(self.out, unit));

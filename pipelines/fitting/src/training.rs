@@ -5,8 +5,8 @@ use crate::checkpoint::{CheckpointError, CheckpointWriter};
 use crate::curve::{Accuracy, CurvePoint};
 use heliosplat::model::{Parameters, View};
 use heliosplat::train::{CameraTurn, EarlyStop, StepReport, TrainError, Trainer};
-use heliosplat_session::Session;
 use heliosplat_session::log::grouped;
+use heliosplat_session::{Session, about_left};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -144,7 +144,7 @@ pub fn train<P: Clone + Serialize>(
         if report.step < steps && (report.step == FIRST_REPORT || report.step.is_multiple_of(REPORT_EVERY)) {
             let gaussians = grouped(report.gaussians);
             let left_s = pace.step_s() * steps.saturating_sub(report.step) as f64;
-            tracing::info!("Step {} of {steps}, about {left_s:.0} s left", report.step);
+            tracing::info!("Step {} of {steps}, {}", report.step, about_left(left_s));
             tracing::debug!("L1 {l1:.4}, {gaussians} Gaussians");
         }
         checkpoints.step_done(&mut trainer);

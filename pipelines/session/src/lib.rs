@@ -164,6 +164,12 @@ impl Session {
     }
 }
 
+/// A time left in words, such as "about 5 minutes left".
+pub fn about_left(seconds: f64) -> String {
+    let whole = Duration::try_from_secs_f64(seconds.round()).unwrap_or(Duration::MAX);
+    format!("about {} left", HumanDuration(whole))
+}
+
 /// Writes the time left of a bar; nothing before its first step, when it is not known.
 fn time_left(state: &ProgressState, out: &mut dyn Write) {
     if state.pos() > 0 {
@@ -239,5 +245,17 @@ impl Progress {
 impl Drop for Progress {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_left_is_in_words_and_never_fails() {
+        assert_eq!(about_left(1515.0), "about 25 minutes left");
+        assert_eq!(about_left(1.2), "about 1 second left");
+        assert!(about_left(f64::INFINITY).ends_with("left") && about_left(f64::NAN).ends_with("left"));
     }
 }
