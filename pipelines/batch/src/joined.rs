@@ -132,7 +132,7 @@ fn virtual_rasters(unit: &str, grid: &GridSpec, blocks: &[Block], folder: &Path)
         }
         styles.insert(name.to_owned(), whole);
     }
-    // The block with the most products has all layers.
+    // Layers of rasters that the block with the most products lacks are left out, such as shadows of a rare date.
     let with = blocks.iter().filter(|block| block.has(LAYERS));
     if let Some(block) = with.max_by_key(|block| block.stamp.outputs.len()) {
         let layers = Layer::of_virtual(&read(&block, LAYERS)?, &styles);

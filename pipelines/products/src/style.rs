@@ -231,9 +231,7 @@ impl Layer {
             map: format!("  <maplayer {map}</maplayer>\n"),
         })
     }
-}
 
-impl Layer {
     /// Layers of the virtual rasters (`.vrt`) over the rasters in `layers`, the layer file of one of their parts, with
     /// the styles of the virtual rasters.
     pub fn of_virtual(layers: &str, styles: &BTreeMap<String, Option<Style>>) -> Vec<Self> {
