@@ -266,6 +266,7 @@ impl<'a> Trainer<'a> {
             }
             Some(fault) => self.reject(fault, index)?,
         }
+        self.settle_cameras();
         let (views, unseen) = (self.views.len(), &mut self.now.unseen_in_a_row);
         *unseen = if descent.pairs == 0 { *unseen + 1 } else { 0 };
         if *unseen >= REJECTED_LIMIT.max(views) {
@@ -323,17 +324,22 @@ impl<'a> Trainer<'a> {
         Ok((device.step(&step, tables)?, full_size))
     }
 
-    /// Turns the camera of view `index` further. After each epoch the turns lose what a movement of the scene explains,
-    /// and cameras that turn out to be right go back to where they were given, for good.
+    /// Turns the camera of view `index` further, from the second epoch on.
     fn turn_camera(&mut self, index: usize, turn: DVec3) {
         let (views, step) = (self.views.len(), self.now.step);
-        let Some(turns) = self.now.turns.as_mut().filter(|_| step > views) else {
+        if let Some(turns) = self.now.turns.as_mut().filter(|_| step > views) {
+            turns[index] += turn;
+            self.place_camera(index);
+        }
+    }
+
+    /// After each epoch the turns lose what a movement of the scene explains, and cameras that turn out to be right go
+    /// back to where they were given, for good.
+    fn settle_cameras(&mut self) {
+        let (views, step) = (self.views.len(), self.now.step);
+        let Some(turns) = self.now.turns.as_mut().filter(|_| step.is_multiple_of(views)) else {
             return;
         };
-        turns[index] += turn;
-        if !step.is_multiple_of(views) {
-            return self.place_camera(index);
-        }
         let eyes = self
             .cameras
             .iter()
@@ -353,10 +359,12 @@ impl<'a> Trainer<'a> {
         self.pyramid.place_camera(index, &camera);
     }
 
-    /// Turns of the cameras, by view; empty where cameras stay as they were given.
+    /// Turns of the cameras, by view; empty where cameras stay as they were given, or hardly move.
     pub fn camera_turns(&self) -> Vec<CameraTurn> {
         let cameras = self.views.iter().zip(&self.cameras);
-        let turns = cameras.zip(self.now.turns.iter().flatten());
+        let found = self.now.turns.iter();
+        let found = found.filter(|turns| !camera_turns::are_noise(&self.cameras, turns));
+        let turns = cameras.zip(found.flatten());
         let turn = |((view, camera), turn): ((&View, &ProjectiveCamera), &DVec3)| CameraTurn {
             image: view.name.clone(),
             radians: turn.to_array(),

@@ -3,6 +3,8 @@
 use heliosplat::Raster;
 use heliosplat_raster::{Crs, GeoTransform, ImageSpec, SampleType, write_geotiff};
 use heliosplat_rpc::{Rpc, write};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -156,16 +158,18 @@ pub fn parallel_camera(size_px: usize, gsd_m: f64, [longitude_deg, latitude_deg]
     }
 }
 
-/// Pixels of a view. Its brightness depends on its direction: no two cameras have the same pixels.
+/// Pixels of a view. Brightness and grain depend on its direction: no two cameras have the same picture.
 fn texture(bands: usize, shows: Shows, tilt: [f64; 2]) -> Raster {
     let mut raster = Raster::filled(SIZE_PX, SIZE_PX, bands, 500.0);
     if shows == Shows::Nothing {
         return raster;
     }
     let brighter = (100.0 * tilt[0] + 40.0 * tilt[1]).round() as f32;
+    let mut grain = Pcg32::seed_from_u64(tilt[0].to_bits() ^ tilt[1].to_bits().rotate_left(32));
     for (index, value) in raster.values.iter_mut().enumerate() {
         let (col, row) = (index % SIZE_PX, index / SIZE_PX % SIZE_PX);
-        *value = brighter + 400.0 + 200.0 * ((col as f32 * 0.7).sin() + (row as f32 * 0.4).cos());
+        *value = brighter + 500.0 + 200.0 * ((col as f32 * 0.7).sin() + (row as f32 * 0.4).cos());
+        *value += grain.random_range(-100.0..100.0);
         if shows == Shows::Half && row >= SIZE_PX / 2 {
             *value = 0.0;
         }

@@ -453,6 +453,23 @@ fn equal_pixels_under_unlike_cameras_are_named() {
     let camera: Vec<(String, String)> = write::gdal_domain(&views[2].rpc()).into_iter().collect();
     copy_with_rpc(&image, &target, &camera).expect("written");
     assert_eq!(named(), [["view_1", "view_2"]]);
+    // Stretched, and a third of it lost.
+    let file = RasterFile::open(&image).and_then(|file| file.read_all());
+    let mut pixels = file.expect("pixels");
+    let third = pixels.plane_len() / 3;
+    for (index, value) in pixels.values.iter_mut().enumerate() {
+        *value = if index < third {
+            (index * 7919 % 997) as f32
+        } else {
+            (0.6 * *value + 40.0).round()
+        };
+    }
+    let spec = ImageSpec {
+        rpc: &camera,
+        ..ImageSpec::plain(&pixels)
+    };
+    write_geotiff(&target, &spec, SampleType::U16).expect("written");
+    assert_eq!(named(), [["view_1", "view_2"]]);
 }
 
 /// Finding codes and full output of `inspect` for a scene.

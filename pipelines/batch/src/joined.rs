@@ -132,10 +132,11 @@ fn virtual_rasters(unit: &str, grid: &GridSpec, blocks: &[Block], folder: &Path)
         }
         styles.insert(name.to_owned(), whole);
     }
-    // Layers of rasters that the block with the most products lacks are left out, such as shadows of a rare date.
-    let with = blocks.iter().filter(|block| block.has(LAYERS));
-    if let Some(block) = with.max_by_key(|block| block.stamp.outputs.len()) {
-        let layers = Layer::of_virtual(&read(&block, LAYERS)?, &styles);
+    let mut with: Vec<&Block> = blocks.iter().filter(|block| block.has(LAYERS)).collect();
+    with.sort_by_key(|block| std::cmp::Reverse(block.stamp.outputs.len()));
+    let texts: Vec<String> = with.iter().map(|block| read(block, LAYERS)).collect::<Result<_>>()?;
+    let layers = Layer::of_virtual(&texts, &styles);
+    if !layers.is_empty() {
         write_atomically(&folder.join(LAYERS), layer_file(unit, &layers).as_bytes())?;
         outputs.push(LAYERS.into());
     }

@@ -5,6 +5,7 @@
 //! height difference over the overlap is removed. Sat-NeRF and EOGS are evaluated this way.
 
 use heliosplat::Raster;
+use heliosplat_grid::statistics::correlation;
 use heliosplat_raster::{Crs, GeoTransform};
 use rayon::prelude::*;
 
@@ -66,7 +67,7 @@ pub fn subpixel(truth: &Raster, prediction: &(impl Fn(f64, f64) -> Raster + Sync
         let steps = [-step, 0.0, step];
         let beside = |dr: f64| steps.map(|dc| (best.0 + dc, best.1 + dr));
         let around: Vec<(f64, f64)> = steps.into_iter().flat_map(beside).collect();
-        let score = |(columns, rows)| correlation(truth, &prediction(columns, rows), 0, 0);
+        let score = |(columns, rows)| overlapping(truth, &prediction(columns, rows), 0, 0);
         best = best_of(&around, score).unwrap_or(best);
         step /= 2.0;
     }
@@ -98,7 +99,7 @@ fn integer_cells(truth: &Raster, prediction: &Raster) -> (i64, i64) {
 fn search(truth: &Raster, prediction: &Raster, around: (i64, i64)) -> (i64, i64) {
     let beside = |dr: i64| (-RANGE..=RANGE).map(move |dc| (around.0 + dc, around.1 + dr));
     let candidates: Vec<(i64, i64)> = (-RANGE..=RANGE).flat_map(beside).collect();
-    let score = |(columns, rows)| correlation(truth, prediction, columns, rows);
+    let score = |(columns, rows)| overlapping(truth, prediction, columns, rows);
     best_of(&candidates, score).unwrap_or(around)
 }
 
@@ -118,7 +119,7 @@ fn best_of<T: Copy + Send + Sync>(candidates: &[T], score: impl Fn(T) -> Option<
 
 /// NCC of the truth and the prediction moved by whole cells, over the cells known in both; `None` when they are too few
 /// or one of the two is flat.
-fn correlation(truth: &Raster, prediction: &Raster, columns: i64, rows: i64) -> Option<f64> {
+fn overlapping(truth: &Raster, prediction: &Raster, columns: i64, rows: i64) -> Option<f64> {
     let (width, height) = (truth.width as i64, truth.height as i64);
     let pairs = || {
         (rows.max(0)..(height + rows).min(height)).flat_map(move |row| {
@@ -129,25 +130,9 @@ fn correlation(truth: &Raster, prediction: &Raster, columns: i64, rows: i64) -> 
             })
         })
     };
-    let (mut count, mut mean_want, mut mean_got) = (0usize, 0.0, 0.0);
-    for (want, got) in pairs() {
-        count += 1;
-        mean_want += want;
-        mean_got += got;
-    }
     let known = truth.plane(0).iter().filter(|value| value.is_finite()).count();
-    if count == 0 || (count as f64) < LEAST_OVERLAP * known as f64 {
+    if (pairs().count() as f64) < LEAST_OVERLAP * known as f64 {
         return None;
     }
-    mean_want /= count as f64;
-    mean_got /= count as f64;
-    let (mut both, mut wants, mut gots) = (0.0, 0.0, 0.0);
-    for (want, got) in pairs() {
-        let (want, got) = (want - mean_want, got - mean_got);
-        both += want * got;
-        wants += want * want;
-        gots += got * got;
-    }
-    let score = both / (wants * gots).sqrt();
-    score.is_finite().then_some(score)
+    correlation(pairs())
 }

@@ -1,7 +1,7 @@
 //! Calibration of a surface model's standard deviations against its true errors.
 
 use heliosplat::Raster;
-use heliosplat_grid::statistics::median;
+use heliosplat_grid::statistics::{correlation, median};
 use std::fmt::Write;
 
 /// Groups of cells of about equal size, from the smallest standard deviations to the largest.
@@ -56,7 +56,7 @@ impl Uncertainty {
             inside.count() as f64 / cells.len() as f64
         };
         Some(Self {
-            spearman: correlation(&ranks(&deviations), &ranks(&errors)),
+            spearman: correlation(ranks(&deviations).into_iter().zip(ranks(&errors))).unwrap_or(0.0),
             within_one: within(1.0),
             within_two: within(2.0),
             groups: cells.chunks(cells.len().div_ceil(GROUPS)).map(group).collect(),
@@ -107,20 +107,6 @@ fn ranks(values: &[f64]) -> Vec<f64> {
         first += same;
     }
     ranks
-}
-
-/// Pearson's correlation; zero where one of the two does not vary.
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let (ma, mb) = (mean(a), mean(b));
-    let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
-    for (a, b) in a.iter().zip(b) {
-        (aa, bb, ab) = (aa + (a - ma).powi(2), bb + (b - mb).powi(2), ab + (a - ma) * (b - mb));
-    }
-    match aa > 0.0 && bb > 0.0 {
-        true => ab / (aa * bb).sqrt(),
-        false => 0.0,
-    }
 }
 
 #[cfg(test)]

@@ -131,9 +131,43 @@ pub fn nmad<T: Real>(values: &[T]) -> Option<T> {
     median_absolute_deviation(values).map(T::sigma_of_mad)
 }
 
+/// Pearson's correlation of pairs, −1..1. `None` of no pairs, where a value is not finite, and where one of the two does
+/// not vary.
+pub fn correlation(pairs: impl Iterator<Item = (f64, f64)> + Clone) -> Option<f64> {
+    let (mut count, mut mean_a, mut mean_b) = (0usize, 0.0, 0.0);
+    for (a, b) in pairs.clone() {
+        count += 1;
+        mean_a += a;
+        mean_b += b;
+    }
+    mean_a /= count as f64;
+    mean_b /= count as f64;
+    let (mut both, mut of_a, mut of_b) = (0.0, 0.0, 0.0);
+    for (a, b) in pairs {
+        let (a, b) = (a - mean_a, b - mean_b);
+        both += a * b;
+        of_a += a * a;
+        of_b += b * b;
+    }
+    let found = both / (of_a * of_b).sqrt();
+    found.is_finite().then_some(found)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn correlation_is_that_of_lines_and_unknown_of_constants() {
+        let of = |b: [f64; 3]| correlation([1.0, 2.0, 3.0].into_iter().zip(b));
+        assert_eq!(of([10.0, 20.0, 30.0]), Some(1.0));
+        assert_eq!(of([3.0, 2.0, 1.0]), Some(-1.0));
+        assert_eq!(of([1.0, 0.0, 1.0]), Some(0.0));
+        for unknown in [[1.0; 3], [f64::NAN, 1.0, 2.0]] {
+            assert_eq!(of(unknown), None);
+        }
+        assert_eq!(correlation(std::iter::empty()), None);
+    }
 
     #[test]
     fn half_of_the_values_lie_on_either_side_of_a_median() {

@@ -232,17 +232,26 @@ impl Layer {
         })
     }
 
-    /// Layers of the virtual rasters (`.vrt`) over the rasters in `layers`, the layer file of one of their parts, with
-    /// the styles of the virtual rasters.
-    pub fn of_virtual(layers: &str, styles: &BTreeMap<String, Option<Style>>) -> Vec<Self> {
-        let at = |file: &str| layers.find(&format!("source=\"{}\"", escaped(&located(file))));
-        let mut files: Vec<_> = styles
-            .iter()
-            .filter_map(|(file, style)| Some((at(file)?, file, style)))
-            .collect();
-        files.sort_by_key(|(at, ..)| *at);
-        let layer = |(_, file, style): (usize, &String, &Option<Style>)| {
-            let Self { tree, map, .. } = Self::earlier(layers, file)?;
+    /// Layers of the virtual rasters (`.vrt`) over the rasters in `layers`, the layer files of their parts, with the
+    /// styles of the virtual rasters. Rasters that the first part lacks come after those that precede them in another.
+    pub fn of_virtual(layers: &[String], styles: &BTreeMap<String, Option<Style>>) -> Vec<Self> {
+        let mut order: Vec<(&String, &String)> = Vec::new();
+        for text in layers {
+            let at = |file: &str| text.find(&format!("source=\"{}\"", escaped(&located(file))));
+            let mut files: Vec<_> = styles.keys().filter_map(|file| Some((at(file)?, file))).collect();
+            files.sort();
+            let mut next = 0;
+            for (_, file) in files {
+                let known = order.iter().position(|(known, _)| *known == file);
+                if known.is_none() {
+                    order.insert(next, (file, text));
+                }
+                next = known.unwrap_or(next) + 1;
+            }
+        }
+        let layer = |(file, text): (&String, &String)| {
+            let Self { tree, map, .. } = Self::earlier(text, file)?;
+            let style = styles.get(file).and_then(Option::as_ref);
             let map = match (style, map.split_once(" <pipe>"), map.split_once("</pipe>\n")) {
                 (Some(style), Some((before, _)), Some((_, after))) => format!("{before}{}{after}", style.pipe()),
                 _ => map,
@@ -250,7 +259,7 @@ impl Layer {
             let [file, tree, map] = [file, &tree, &map].map(|text| text.replace(".tif", ".vrt"));
             Some(Self { file, tree, map })
         };
-        files.into_iter().filter_map(layer).collect()
+        order.into_iter().filter_map(layer).collect()
     }
 }
 
@@ -351,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn layers_of_virtual_rasters_keep_the_titles_and_order_of_their_parts() {
+    fn layers_of_virtual_rasters_keep_the_titles_and_order_of_all_their_parts() {
         let crs = Crs::from_epsg(32_637).expect("UTM");
         let part = [
             Layer::new("hillshade.tif", "Relief", &Style::Shades([1.0, 255.0]), &crs),
@@ -362,12 +371,16 @@ mod tests {
         let styles = [
             ("dsm.tif", Some(whole.clone())),
             ("hillshade.tif", None),
+            ("rare.tif", None),
             ("shadow.tif", None),
         ];
         let styles = styles.map(|(file, style)| (file.to_owned(), style)).into();
-        let layers = Layer::of_virtual(&layer_file("block", &part), &styles);
+        let rare = Layer::new("rare.tif", "Rare", &Style::mask("shadow"), &crs);
+        let other = [part[1].clone(), rare];
+        let texts = [layer_file("block", &part), layer_file("other", &other)];
+        let layers = Layer::of_virtual(&texts, &styles);
         let files: Vec<&str> = layers.iter().map(|layer| layer.file.as_str()).collect();
-        assert_eq!(files, ["hillshade.vrt", "dsm.vrt", "shadow.vrt"]);
+        assert_eq!(files, ["hillshade.vrt", "dsm.vrt", "rare.vrt", "shadow.vrt"]);
         assert!(layers[1].tree.contains("name=\"Heights\"") && layers[1].map.contains(&whole.pipe()));
         assert!(!layer_file("whole", &layers).contains(".tif"));
     }

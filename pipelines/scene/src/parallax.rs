@@ -1,6 +1,7 @@
 //! Geometry of image pairs: base-to-height ratio and overlap.
 
 use super::{Finding, Scene, SceneImage, Severity};
+use heliosplat_grid::statistics::correlation;
 use heliosplat_rpc::parallax::MATCHING_PX;
 use nalgebra::{Vector2, Vector3};
 
@@ -23,6 +24,14 @@ pub struct ImagePair {
 /// Number of sample places along each side of the area, for the overlap.
 const STEPS: usize = 32;
 
+/// Correlation above which patches at equal places of two files are of one picture. Of patches of real and generated pairs
+/// the upper quartile reaches 0.85 (ZY-3, Pléiades, WorldView-3, three generators), of JPEG copies it is above 0.98.
+const OF_ONE_PICTURE: f64 = 0.98;
+/// Side of such a patch, pixels.
+const PATCH_PX: usize = 16;
+/// Number of patches along each side of the files' common part.
+const PATCHES: usize = 8;
+
 impl SceneImage {
     /// Unit vector of the ray through the scene's centre, from the camera downward, in the scene's frame.
     pub fn ray(&self) -> Vector3<f64> {
@@ -35,25 +44,39 @@ impl SceneImage {
         if ray.z > 0.0 { -ray } else { ray }
     }
 
-    /// True if the two files have equal values, and the same missing ones, wherever both were read.
+    /// True if the two files show one picture: of patches at equal places in both, a quarter correlates by more than
+    /// [`OF_ONE_PICTURE`]. Gains, compression and pixels that one of them lacks do not hide it.
     fn has_pixels_of(&self, other: &Self) -> bool {
         let (a, b) = (&self.window, &other.window);
-        let cols = a.col0.max(b.col0)..(a.col0 + a.width).min(b.col0 + b.width);
-        let rows = a.row0.max(b.row0)..(a.row0 + a.height).min(b.row0 + b.height);
-        let value = |image: &Self, band: usize, (col, row): (usize, usize)| {
+        let (col0, row0) = (a.col0.max(b.col0), a.row0.max(b.row0));
+        let cols = (a.col0 + a.width).min(b.col0 + b.width).saturating_sub(col0);
+        let rows = (a.row0 + a.height).min(b.row0 + b.height).saturating_sub(row0);
+        if cols < PATCH_PX || rows < PATCH_PX {
+            return false;
+        }
+        let values = |image: &Self, [col, row]: [usize; 2]| {
             let (col, row) = (col - image.window.col0, row - image.window.row0);
-            image.pixels.at(band, col, row)
+            let places = (row..row + PATCH_PX).flat_map(|row| (col..col + PATCH_PX).map(move |col| [col, row]));
+            let sum = |[col, row]: [usize; 2]| {
+                (0..image.pixels.bands)
+                    .map(|band| image.pixels.at(band, col, row))
+                    .sum()
+            };
+            places.map(sum).collect::<Vec<f32>>()
         };
-        let mut is_compared = false;
-        let mut is_alike = |band: usize, place: (usize, usize)| {
-            let (a, b) = (value(self, band, place), value(other, band, place));
-            is_compared |= a == b;
-            a == b || (a.is_nan() && b.is_nan())
+        let corner = |patch: usize| {
+            let along = |free: usize, step: usize| free * (2 * step + 1) / (2 * PATCHES);
+            let [across, down] = [
+                along(cols - PATCH_PX, patch % PATCHES),
+                along(rows - PATCH_PX, patch / PATCHES),
+            ];
+            [col0 + across, row0 + down]
         };
-        let bands = self.pixels.bands;
-        let mut places = rows.clone().flat_map(|row| cols.clone().map(move |col| (col, row)));
-        let is_alike = bands == other.pixels.bands && places.all(|place| (0..bands).all(|band| is_alike(band, place)));
-        is_alike && is_compared
+        let correlated = (0..PATCHES * PATCHES).filter(|&patch| {
+            let [a, b] = [self, other].map(|image| values(image, corner(patch)).into_iter().map(f64::from));
+            correlation(a.zip(b)).is_some_and(|correlation| correlation > OF_ONE_PICTURE)
+        });
+        4 * correlated.count() >= PATCHES * PATCHES
     }
 
     /// Displacement of the ray through the scene's centre per metre of altitude, metres east and north.

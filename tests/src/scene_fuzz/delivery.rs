@@ -6,6 +6,8 @@ use gdal::{Dataset, DatasetOptions, GdalOpenFlags, config};
 use heliosplat::Raster;
 use heliosplat_raster::{Crs, CrsTransform, GeoRaster, GeoTransform, ImageSpec, SampleType, write_geotiff};
 use heliosplat_rpc::{Rpc, write};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
 use serde_json::{Map, Value, json};
 use std::path::Path;
 
@@ -116,14 +118,19 @@ impl Image {
             SampleType::U8 => 255.0,
             _ => 65_535.0,
         };
+        let seed = self
+            .name
+            .bytes()
+            .fold(0u64, |seed, byte| 31 * seed % 1_000_003 + u64::from(byte));
+        let mut rng = Pcg32::seed_from_u64(seed);
         for index in (0..missing.len()).filter(|&index| missing[index]) {
             for band in 0..pixels.bands {
                 pixels.values[band * plane + index] = match self.declared {
                     Declared::Nodata | Declared::Zeros => 0.0,
                     Declared::Nan => f32::NAN,
                     Declared::Brightest => brightest,
-                    // Pixels from elsewhere in the image, without order.
-                    _ => self.pixels.values[band * plane + (index * 7919 + 13) % plane],
+                    // Pixels from elsewhere in the image, in another order in each image.
+                    _ => self.pixels.values[band * plane + rng.random_range(0..plane)],
                 };
             }
         }

@@ -225,7 +225,15 @@ impl Fault {
                 scene.images[one].rpc.height_offset_m += by;
                 scene.datum_px += 0.5 * f64::abs(by) / gsd_m;
             }
-            HeightScale => scene.images[one].rpc.height_scale_m *= rng.random_range(0.7..1.4),
+            HeightScale => {
+                let by = rng.random_range(0.7..1.4);
+                let middle_m = 0.5 * (scene.altitude_m.0 + scene.altitude_m.1);
+                let rpc = &mut scene.images[one].rpc;
+                rpc.height_scale_m *= by;
+                // To first order a height offset at the altitude of the ground.
+                let moved_m = (1.0 - 1.0 / by) * (middle_m - rpc.height_offset_m);
+                scene.datum_px += 0.5 * f64::abs(moved_m) / gsd_m;
+            }
             Truncated => {
                 let digits = rng.random_range(2..7);
                 let linear = rng.random_range(0..3) == 0;

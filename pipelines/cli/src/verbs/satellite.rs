@@ -200,7 +200,10 @@ pub(crate) fn relight(args: &RelightArgs) -> Result<Outcome, CliError> {
     let mask = relit.write(&args.out)?;
     let [azimuth, elevation] = sun.degrees();
     let (out, shadow) = (args.out.display(), mask.display());
-    let text = format!("Wrote {out} and {shadow}; sun azimuth {azimuth:.2}°, elevation {elevation:.2}°");
+    let text = format!(
+        "Wrote {out} and {shadow}; sun azimuth {azimuth:.2}°, elevation {elevation:.2}°\nExposure: {}",
+        relit.exposure
+    );
     let json = json!({"image": args.out, "shadow": mask, "sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation, "exposure": relit.exposure});
     Ok(Outcome::new(text, json))
 }
