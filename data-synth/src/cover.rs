@@ -204,7 +204,7 @@ mod tests {
     #[test]
     fn the_sea_is_level_and_the_land_falls_to_it() {
         for seed in 0..20 {
-            let relief = Relief::new(seed);
+            let relief = Relief::new(seed, None);
             let coast = Coast::new(seed, &relief);
             assert!(coast.level_m > -9.5, "{seed}: {}", coast.level_m);
             for k in 0..2500 {

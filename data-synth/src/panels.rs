@@ -43,11 +43,7 @@ pub(crate) fn albedo(at: Spot) -> Option<Spectrum> {
         let within = place[axis].rem_euclid(ARRAY_M[axis]).rem_euclid(MODULE_M[axis]);
         within < FRAME_M || within > MODULE_M[axis] - FRAME_M
     });
-    Some(if frame {
-        Spectrum::repeat(FRAME)
-    } else {
-        Spectrum::from(CELLS)
-    })
+    Some(Spectrum::from(if frame { [FRAME; 4] } else { CELLS }))
 }
 
 fn inner(at: Spot) -> [f64; 2] {

@@ -100,10 +100,13 @@ impl Footprint {
     /// The four corners at altitude `z`, counter-clockwise from (-, -).
     pub(crate) fn corners(&self, z: f64) -> [Vector3<f64>; 4] {
         let [l, w] = self.half;
-        [(-l, -w), (l, -w), (l, w), (-l, w)].map(|(a, b)| {
-            let [x, y] = self.at(a, b);
-            Vector3::new(x, y, z)
-        })
+        [(-l, -w), (l, -w), (l, w), (-l, w)].map(|(a, b)| self.point(a, b, z))
+    }
+
+    /// The point at altitude `z` over [`Self::at`].
+    pub(crate) fn point(&self, a: f64, b: f64, z: f64) -> Vector3<f64> {
+        let [x, y] = self.at(a, b);
+        Vector3::new(x, y, z)
     }
 }
 
@@ -117,20 +120,13 @@ pub(crate) struct Solids {
 }
 
 impl Solids {
-    /// A surface of its own for a flat polygon whose first edge is the texture's u axis.
-    fn flat_surface(
-        &mut self,
-        finish: Finish,
-        origin: Vector3<f64>,
-        edge: Vector3<f64>,
-        normal: Vector3<f64>,
-    ) -> SurfaceId {
-        let along_u = edge.normalize();
+    /// Adds a surface with the axes `along` of its texture.
+    fn surface(&mut self, finish: Finish, origin: Vector3<f64>, [along_u, along_v]: [Vector3<f64>; 2]) -> SurfaceId {
         self.surfaces.push(Face {
             finish,
             origin,
             along_u,
-            along_v: normal.cross(&along_u),
+            along_v,
             panels: false,
         });
         (self.surfaces.len() - 1) as SurfaceId
@@ -139,8 +135,9 @@ impl Solids {
     /// Adds a convex flat polygon with its corners in order. The u axis of its texture is the first edge, v points
     /// inwards.
     pub(crate) fn polygon(&mut self, corners: &[Vector3<f64>], finish: Finish) {
-        let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).normalize();
-        let surface = self.flat_surface(finish, corners[0], corners[1] - corners[0], normal);
+        let edge = corners[1] - corners[0];
+        let (normal, along_u) = (edge.cross(&(corners[2] - corners[0])).normalize(), edge.normalize());
+        let surface = self.surface(finish, corners[0], [along_u, normal.cross(&along_u)]);
         for k in 1..corners.len() - 1 {
             let triangle = Triangle::new([corners[0], corners[k], corners[k + 1]], surface);
             self.primitives.triangles.push(triangle);
@@ -179,14 +176,8 @@ impl Solids {
     /// Adds a surface to be shared by many ellipsoids. Its texture axes are slanted, so that the sides of ellipsoids
     /// are textured too.
     pub(crate) fn foliage_surface(&mut self, origin: Vector3<f64>, finish: Finish) -> SurfaceId {
-        self.surfaces.push(Face {
-            finish,
-            origin,
-            along_u: Vector3::new(1.0, 0.0, 0.8),
-            along_v: Vector3::new(0.0, 1.0, -0.6),
-            panels: false,
-        });
-        (self.surfaces.len() - 1) as SurfaceId
+        let slanted = [Vector3::new(1.0, 0.0, 0.8), Vector3::new(0.0, 1.0, -0.6)];
+        self.surface(finish, origin, slanted)
     }
 }
 

@@ -1,8 +1,9 @@
 //! The ground as a height field: square cells of two triangles each, so that every ray meets it exactly.
 
-use crate::noise::{hash2, noise, smoothstep};
+use crate::noise::{hash2, noise, smoothstep, stream};
 use crate::ray::Ray;
 use nalgebra::Vector3;
+use rand::RngExt;
 use rayon::prelude::*;
 
 /// Altitudes on a square lattice centred on the origin; each cell is cut along its rising diagonal.
@@ -87,11 +88,8 @@ impl HeightField {
         let (ox, oy) = ((ray.origin.x - x0) / self.cell_m, (ray.origin.y - y0) / self.cell_m);
         let (dx, dy) = (ray.direction.x / self.cell_m, ray.direction.y / self.cell_m);
         let t_diagonal = (oy - ox) / (dx - dy);
-        let split = if t_diagonal > t_in && t_diagonal < t_out {
-            t_diagonal
-        } else {
-            t_out
-        };
+        let crosses = t_diagonal > t_in && t_diagonal < t_out;
+        let split = if crosses { t_diagonal } else { t_out };
         for (from, to) in [(t_in, split), (split, t_out)] {
             if from >= to {
                 continue;
@@ -102,11 +100,8 @@ impl HeightField {
                 |t: f64| ray.origin.z + ray.direction.z * t - base - along_x * (ox + dx * t) - along_y * (oy + dy * t);
             let (start, end) = (above(from), above(to));
             if end <= 0.0 && end < start {
-                return Some(if start <= 0.0 {
-                    from
-                } else {
-                    from + (to - from) * start / (start - end)
-                });
+                let crossing = from + (to - from) * start / (start - end);
+                return Some(if start <= 0.0 { from } else { crossing });
             }
         }
         None
@@ -171,25 +166,16 @@ impl Hill {
 }
 
 impl Relief {
-    /// Random relief with a slope of 0.8 to 3 % and swells of a few metres.
-    pub(crate) fn new(seed: u64) -> Self {
-        use rand::RngExt;
-        let mut random = crate::noise::stream(seed, 0x7E11);
+    /// Random relief with a slope of 0.8 to 3 %, swells of a few metres, and `hill` on top.
+    pub(crate) fn new(seed: u64, hill: Option<Hill>) -> Self {
+        let mut random = stream(seed, 0x7E11);
         let direction: f64 = random.random_range(0.0..std::f64::consts::TAU);
         let slope: f64 = random.random_range(0.008..0.03);
         Self {
             seed: hash2(seed, 0x7E12) as u32,
             slope: [slope * direction.cos(), slope * direction.sin()],
             amplitude_m: random.random_range(1.0..2.2),
-            hill: None,
-        }
-    }
-
-    /// The relief with a hill on top.
-    pub(crate) fn with(self, hill: Hill) -> Self {
-        Self {
-            hill: Some(hill),
-            ..self
+            hill,
         }
     }
 
@@ -209,7 +195,7 @@ mod tests {
 
     #[test]
     fn a_ray_meets_the_ground_where_the_ground_is() {
-        let relief = Relief::new(3);
+        let relief = Relief::new(3, None);
         let field = HeightField::sample(40.0, 1.0, |x, y| relief.height_m(x, y));
         let tracer = crate::raytrace::Tracer::new(&field, Default::default());
         for k in 0..400 {

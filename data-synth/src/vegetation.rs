@@ -65,11 +65,8 @@ impl Tree {
     fn leaf_surfaces(&self, solids: &mut Solids, ground_z: f64, random: &mut Pcg64Mcg) -> [SurfaceId; 3] {
         let evergreen = self.kind != TreeKind::Broadleaf;
         [0.82, 1.0, 1.2].map(|tone| {
-            let finish = Finish::new(
-                Class::Vegetation,
-                Material::Leaves(self.leaf * tone, evergreen),
-                random.random(),
-            );
+            let leaves = Material::Leaves(self.leaf * tone, evergreen);
+            let finish = Finish::new(Class::Vegetation, leaves, random.random());
             solids.foliage_surface(Vector3::new(self.x, self.y, ground_z), finish)
         })
     }
@@ -115,21 +112,17 @@ impl Tree {
             let z = ground_z + self.height_m * (0.18 + 0.80 * share);
             let reach_m = self.radius_m * (1.0 - share).powf(0.85);
             let thick_m = 0.09 * self.height_m;
-            solids.ellipsoid(
-                Vector3::new(self.x, self.y, z.min(ground_z + self.height_m - thick_m)),
-                Vector3::new(0.8 * reach_m + 0.1, 0.8 * reach_m + 0.1, thick_m),
-                leaves[layer as usize % 3],
-            );
+            let centre = Vector3::new(self.x, self.y, z.min(ground_z + self.height_m - thick_m));
+            let wide_m = 0.8 * reach_m + 0.1;
+            let radii = Vector3::new(wide_m, wide_m, thick_m);
+            solids.ellipsoid(centre, radii, leaves[layer as usize % 3]);
             for arm in 0..5 {
                 let turn = f64::from(arm) * 1.2566 + random.random_range(-0.4..0.4);
                 let radius_m = 0.38 * reach_m + 0.08;
                 let out_m = 0.62 * reach_m;
                 let centre = Vector3::new(self.x + out_m * turn.cos(), self.y + out_m * turn.sin(), z - 0.2);
-                solids.ellipsoid(
-                    centre,
-                    Vector3::new(radius_m, radius_m, 0.5 * thick_m),
-                    leaves[arm as usize % 3],
-                );
+                let radii = Vector3::new(radius_m, radius_m, 0.5 * thick_m);
+                solids.ellipsoid(centre, radii, leaves[arm as usize % 3]);
             }
         }
     }
@@ -143,11 +136,8 @@ impl Hedge {
         let [from, to] = self.ends;
         let length_m = (to[0] - from[0]).hypot(to[1] - from[1]);
         let bushes = (length_m / 0.8).ceil().max(1.0) as u32;
-        let finish = Finish::new(
-            Class::Vegetation,
-            Material::Leaves(Spectrum::new(0.045, 0.070, 0.032, 0.40), true),
-            self.seed as u32,
-        );
+        let leaves = Material::Leaves(Spectrum::new(0.045, 0.070, 0.032, 0.40), true);
+        let finish = Finish::new(Class::Vegetation, leaves, self.seed as u32);
         let surface = solids.foliage_surface(Vector3::new(from[0], from[1], height_at(from[0], from[1])), finish);
         for k in 0..bushes {
             let share = (f64::from(k) + random.random_range(0.3..0.7)) / f64::from(bushes);

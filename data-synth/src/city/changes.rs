@@ -51,16 +51,15 @@ impl Changes {
 
     /// True if a building stands on a date.
     pub(super) fn stands(&self, building: usize, date: usize) -> bool {
-        let change = self.of_building.get(building).copied().flatten();
-        change.is_none_or(|change| (date >= change.date) == change.built)
+        (self.change(building)).is_none_or(|change| (date >= change.date) == change.built)
     }
 
     /// The first date that shows a building's new state, if it changes.
     pub(super) fn date(&self, building: usize) -> Option<usize> {
-        self.of_building
-            .get(building)
-            .copied()
-            .flatten()
-            .map(|change| change.date)
+        self.change(building).map(|change| change.date)
+    }
+
+    fn change(&self, building: usize) -> Option<Change> {
+        self.of_building.get(building).copied().flatten()
     }
 }

@@ -44,6 +44,21 @@ pub(crate) struct Zone {
 }
 
 impl Zone {
+    /// A rectangle of plain ground around `centre`, with the half size `half` along u and v, or along v and back
+    /// along u.
+    pub(crate) fn rectangle(centre: [f64; 2], half: [f64; 2], along_u: bool, material: Material, seed: u32) -> Self {
+        let turn_rad = if along_u { 0.0 } else { std::f64::consts::FRAC_PI_2 };
+        Self {
+            centre,
+            half,
+            turn: turn_rad.sin_cos().into(),
+            outline: Outline::Rounded(0.0),
+            class: Class::Ground,
+            material,
+            seed,
+        }
+    }
+
     fn local(&self, uv: [f64; 2]) -> [f64; 2] {
         let [sin, cos] = self.turn;
         let (du, dv) = (uv[0] - self.centre[0], uv[1] - self.centre[1]);
@@ -105,8 +120,8 @@ pub(crate) struct GroundCover {
 }
 
 impl GroundCover {
-    /// Sorts the zones for look-up. Later zones lie over earlier ones.
-    pub(crate) fn new(bend: Bend, zones: Vec<Zone>, seed: u32) -> Self {
+    /// Sorts the zones for look-up. Later zones lie over earlier ones, and sea or snow over all of them.
+    pub(crate) fn new(bend: Bend, zones: Vec<Zone>, covered: Option<Covered>, seed: u32) -> Self {
         let mut by_square: HashMap<(i64, i64), Vec<u32>> = HashMap::new();
         for (index, zone) in zones.iter().enumerate() {
             let reach_m = zone.reach_m();
@@ -126,21 +141,11 @@ impl GroundCover {
             zones,
             by_square,
             between: Zone {
-                centre: [0.0; 2],
-                half: [1.0; 2],
-                turn: [0.0, 1.0],
-                outline: Outline::Rounded(0.0),
                 class: Class::Road,
-                material: Material::Asphalt(grey(0.10)),
-                seed,
+                ..Zone::rectangle([0.0; 2], [1.0; 2], true, Material::Asphalt(grey(0.10)), seed)
             },
-            covered: None,
+            covered,
         }
-    }
-
-    /// Covers one half of the ground with sea or snow.
-    pub(crate) fn under(self, covered: Option<Covered>) -> Self {
-        Self { covered, ..self }
     }
 
     /// Distance of a place (metres east and north of the site's centre) from the edge of sea or snow, positive where it
@@ -149,14 +154,9 @@ impl GroundCover {
         (self.covered).map_or(f64::NEG_INFINITY, |covered| covered.inside_m(x, y))
     }
 
-    /// True if a place is covered by sea or snow.
-    pub(crate) fn is_covered(&self, x: f64, y: f64) -> bool {
-        self.inside_cover_m(x, y) > 0.0
-    }
-
     /// True if a place lies in the sea.
     pub(crate) fn is_sea(&self, x: f64, y: f64) -> bool {
-        matches!(self.covered, Some(Covered::Sea(_))) && self.is_covered(x, y)
+        matches!(self.covered, Some(Covered::Sea(_))) && self.inside_cover_m(x, y) > 0.0
     }
 
     /// Albedo of snow if it covers the hit surface of a class.
@@ -167,7 +167,7 @@ impl GroundCover {
     /// Ground of one material.
     #[cfg(test)]
     pub(crate) fn plain(material: Material) -> Self {
-        let mut ground = Self::new(Bend::new(0), Vec::new(), 0);
+        let mut ground = Self::new(Bend::new(0), Vec::new(), None, 0);
         ground.between.material = material;
         ground.between.class = Class::Ground;
         ground
@@ -175,7 +175,7 @@ impl GroundCover {
 
     /// Topmost zone at a place, and the position of the place in it.
     fn zone_at(&self, x: f64, y: f64) -> (&Zone, Spot) {
-        let uv = self.bend.uv_from_xy(x, y);
+        let uv = self.bend.uv_from_xy([x, y]);
         let square = uv.map(|v| (v / LOOKUP_M).floor() as i64);
         let candidates = self.by_square.get(&(square[0], square[1]));
         let zone = (candidates.into_iter().flatten().rev())
@@ -221,15 +221,11 @@ pub(crate) struct Landform<'a> {
 impl Landform<'_> {
     /// Altitude at a place, metres of the scene's frame.
     pub(crate) fn height_m(&self, x: f64, y: f64) -> f64 {
-        let uv = self.bend.uv_from_xy(x, y);
+        let uv = self.bend.uv_from_xy([x, y]);
         // Only the edge of the block that the place is in, or next to, matters.
         let near = |block: &&Zone| (0..2).all(|k| (uv[k] - block.centre[k]).abs() < block.half[k] + 1.0);
-        let from_block = self
-            .blocks
-            .iter()
-            .filter(near)
-            .map(|block| block.distance_m(uv))
-            .fold(f64::INFINITY, f64::min);
+        let from_blocks = self.blocks.iter().filter(near).map(|block| block.distance_m(uv));
+        let from_block = from_blocks.fold(f64::INFINITY, f64::min);
         let mut height_m = self.relief.height_m(x, y) - KERB_M * smoothstep(-0.2, 0.6, from_block);
         for pond in self.ponds {
             // Level for 2 m beyond the shore, so that no cell under the water is tilted; then a bank.

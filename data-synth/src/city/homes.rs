@@ -1,13 +1,13 @@
 //! Blocks where people live: detached houses in gardens, and apartment houses around a courtyard.
 
-use super::building::Roof;
+use super::building::{Design, Roof};
 use super::palette;
-use super::planner::{Design, Planner, Plot};
-use crate::materials::{Class, Material};
+use super::planner::{Planner, Plot};
+use crate::materials::{Material, grey};
 
 /// Detached houses on two rows of lots back to back, or on one row where the block is too narrow.
 pub(crate) fn houses(planner: &mut Planner, plot: &Plot) {
-    planner.cover(plot, [0.0, 0.0], plot.half, Class::Ground, Material::Lawn);
+    planner.cover(plot, [0.0, 0.0], plot.half, Material::Lawn);
     let [length, width] = plot.half;
     let rows: &[f64] = if width > 13.0 { &[-1.0, 1.0] } else { &[1.0] };
     let depth = if rows.len() == 2 { width } else { 2.0 * width };
@@ -29,13 +29,7 @@ pub(crate) fn houses(planner: &mut Planner, plot: &Plot) {
 fn house_lot(planner: &mut Planner, plot: &Plot, a: f64, [lot, depth]: [f64; 2], side: f64) {
     let front = side * plot.half[1];
     let material = planner.pick(&[Material::Lawn, Material::Lawn, Material::Garden]);
-    planner.cover(
-        plot,
-        [a, front - side * 0.5 * depth],
-        [lot, 0.5 * depth],
-        Class::Ground,
-        material,
-    );
+    planner.cover(plot, [a, front - side * 0.5 * depth], [lot, 0.5 * depth], material);
     let setback = planner.range(2.5, 4.5);
     let half_width = planner.range(4.6, 6.2).min(lot - 1.1);
     let half_depth = planner.range(5.0, 7.0).min(0.5 * (depth - setback) - 1.5).max(2.5);
@@ -44,22 +38,13 @@ fn house_lot(planner: &mut Planner, plot: &Plot, a: f64, [lot, depth]: [f64; 2],
     if half_width < 2.5 {
         return;
     }
-    let design = house_design(planner, [half_width, half_depth]);
-    erect_house(planner, plot, [a + shift, middle], design);
-    drive_and_shed(
-        planner,
-        plot,
-        [a + shift, middle],
-        [half_width, half_depth],
-        [lot, depth, side],
-    );
+    let (house, half) = ([a + shift, middle], [half_width, half_depth]);
+    let design = house_design(planner, half_width.min(half_depth));
+    erect_house(planner, plot, house, half, design);
+    drive_and_shed(planner, plot, (house, half), [lot, depth, side]);
+    let behind = setback + 2.0 * half_depth;
     for _ in 0..planner.pick(&[3, 4, 5, 6]) {
-        let b = front
-            - side
-                * planner.range(
-                    setback + 2.0 * half_depth + 0.5,
-                    depth.max(setback + 2.0 * half_depth + 1.0),
-                );
+        let b = front - side * planner.range(behind + 0.5, depth.max(behind + 1.0));
         let (at, radius) = ([a + planner.range(-0.8, 0.8) * lot, b], planner.range(1.8, 4.2));
         let kind = planner.any_tree();
         planner.plant(plot, at, radius, kind);
@@ -71,51 +56,33 @@ fn house_lot(planner: &mut Planner, plot: &Plot, a: f64, [lot, depth]: [f64; 2],
     }
 }
 
-fn house_design(planner: &mut Planner, half: [f64; 2]) -> Design {
-    let shorter = half[0].min(half[1]);
-    let pitch = planner.range(0.45, 0.80);
-    let (roof, cover) = match planner.share() {
-        s if s < 0.50 => (
-            Roof::Gabled {
-                rise_m: pitch * shorter,
-            },
-            palette::pitched_cover(planner),
-        ),
-        s if s < 0.85 => (
-            Roof::Hipped {
-                rise_m: pitch * shorter,
-            },
-            palette::pitched_cover(planner),
-        ),
+fn house_design(planner: &mut Planner, shorter: f64) -> Design {
+    let rise_m = planner.range(0.45, 0.80) * shorter;
+    let roof = match planner.share() {
+        s if s < 0.50 => (Roof::Gabled { rise_m }, palette::pitched_cover(planner)),
+        s if s < 0.85 => (Roof::Hipped { rise_m }, palette::pitched_cover(planner)),
         _ => (Roof::Flat { parapet_m: 0.4 }, palette::flat_cover(planner)),
     };
     let storeys = planner.pick(&[1.0, 2.0, 2.0]);
-    Design {
-        half,
-        eaves_m: 2.9 * storeys + planner.range(0.2, 0.7),
-        roof,
-        wall: palette::facade(planner),
-        cover,
-    }
+    let eaves_m = 2.9 * storeys + planner.range(0.2, 0.7);
+    Design::new(eaves_m, palette::facade(planner), roof)
 }
 
 /// The ridge runs along the longer side: the footprint's first half size must be the longer one.
-fn erect_house(planner: &mut Planner, plot: &Plot, at: [f64; 2], mut design: Design) {
-    let across = design.half[1] > design.half[0];
-    if across {
-        design.half.swap(0, 1);
+fn erect_house(planner: &mut Planner, plot: &Plot, at: [f64; 2], [length, width]: [f64; 2], design: Design) {
+    if length >= width {
+        return planner.erect(plot, at, [length, width], design);
     }
-    let plan = planner.erect(plot, at, design);
-    if across && let Some(building) = planner.buildings.last_mut() {
-        building.footprint.angle_rad = plan.angle_rad + std::f64::consts::FRAC_PI_2;
+    planner.erect(plot, at, [width, length], design);
+    if let Some(building) = planner.buildings.last_mut() {
+        building.footprint.angle_rad += std::f64::consts::FRAC_PI_2;
     }
 }
 
 fn drive_and_shed(
     planner: &mut Planner,
     plot: &Plot,
-    house: [f64; 2],
-    [half_width, half_depth]: [f64; 2],
+    (house, [half_width, half_depth]): ([f64; 2], [f64; 2]),
     [lot, depth, side]: [f64; 3],
 ) {
     let front = side * plot.half[1];
@@ -125,39 +92,23 @@ fn drive_and_shed(
     let drive_end = house[1];
     let half_length = 0.5 * (front - drive_end).abs();
     let material = palette::paving(planner);
-    planner.cover(
-        plot,
-        [a, 0.5 * (front + drive_end)],
-        [1.25, half_length],
-        Class::Ground,
-        material,
-    );
+    planner.cover(plot, [a, 0.5 * (front + drive_end)], [1.25, half_length], material);
     planner.park(plot, [a, front - side * 3.0], true);
     let patio = house[1] - side * (half_depth + 1.4);
-    planner.cover(
-        plot,
-        [house[0], patio],
-        [0.6 * half_width, 1.4],
-        Class::Ground,
-        material,
-    );
+    planner.cover(plot, [house[0], patio], [0.6 * half_width, 1.4], material);
     let rear = front - side * (depth - 2.2);
     if planner.chance(0.4) && (rear - house[1]).abs() > half_depth + 3.0 {
-        let design = Design {
-            half: [1.4, 1.9],
-            eaves_m: planner.range(2.1, 2.6),
-            roof: Roof::Flat { parapet_m: 0.0 },
-            wall: Material::Concrete(crate::materials::grey(0.3)),
-            cover: palette::flat_cover(planner),
-        };
-        planner.erect(plot, [a, rear], design);
+        let eaves_m = planner.range(2.1, 2.6);
+        let roof = (Roof::Flat { parapet_m: 0.0 }, palette::flat_cover(planner));
+        let shed = Design::new(eaves_m, Material::Concrete(grey(0.3)), roof);
+        planner.erect(plot, [a, rear], [1.4, 1.9], shed);
     }
 }
 
 /// Apartment houses of several heights along the edges, a courtyard within.
 pub(crate) fn apartments(planner: &mut Planner, plot: &Plot) {
     let pavement = palette::paving(planner);
-    planner.cover(plot, [0.0, 0.0], plot.half, Class::Ground, pavement);
+    planner.cover(plot, [0.0, 0.0], plot.half, pavement);
     let [length, width] = plot.half;
     let depth = planner.range(5.2, 6.2).min(0.36 * width);
     let setback = 0.8;
@@ -183,35 +134,18 @@ fn apartment_row(planner: &mut Planner, plot: &Plot, b: f64, [half_length, depth
             piece = half_length - a;
         }
         let pitched = pitched_row != planner.chance(0.15);
-        let (roof, cover) = if pitched {
-            (
-                Roof::Gabled {
-                    rise_m: common_pitch * depth,
-                },
-                palette::pitched_cover(planner),
-            )
+        let roof = if pitched {
+            let rise_m = common_pitch * depth;
+            (Roof::Gabled { rise_m }, palette::pitched_cover(planner))
         } else {
-            (
-                Roof::Flat {
-                    parapet_m: planner.range(0.5, 1.0),
-                },
-                palette::flat_cover(planner),
-            )
+            let parapet_m = planner.range(0.5, 1.0);
+            (Roof::Flat { parapet_m }, palette::flat_cover(planner))
         };
-        let design = Design {
-            half: [0.5 * piece, depth],
-            eaves_m: 3.0 * planner.pick(&[3.0, 4.0, 4.0, 5.0]) + planner.range(0.3, 1.5),
-            roof,
-            wall: palette::facade(planner),
-            cover,
-        };
-        planner.erect(plot, [a + 0.5 * piece, b], design);
-        a += piece
-            + if planner.chance(0.3) {
-                planner.range(3.0, 6.0)
-            } else {
-                0.0
-            };
+        let eaves_m = 3.0 * planner.pick(&[3.0, 4.0, 4.0, 5.0]) + planner.range(0.3, 1.5);
+        let design = Design::new(eaves_m, palette::facade(planner), roof);
+        planner.erect(plot, [a + 0.5 * piece, b], [0.5 * piece, depth], design);
+        let passage = planner.chance(0.3).then(|| planner.range(3.0, 6.0));
+        a += piece + passage.unwrap_or(0.0);
     }
 }
 
@@ -222,31 +156,26 @@ fn close_ends(planner: &mut Planner, plot: &Plot, [length, court_width, depth]: 
         if half_width < 4.0 || planner.chance(0.4) {
             continue;
         }
-        let shorter = half_width.min(depth);
-        let pitched = planner.chance(0.5);
-        let (roof, cover) = if pitched {
-            (Roof::Hipped { rise_m: 0.6 * shorter }, palette::pitched_cover(planner))
+        let roof = if planner.chance(0.5) {
+            let rise_m = 0.6 * half_width.min(depth);
+            (Roof::Hipped { rise_m }, palette::pitched_cover(planner))
         } else {
             (Roof::Flat { parapet_m: 0.6 }, palette::flat_cover(planner))
         };
-        let design = Design {
-            half: [depth, half_width],
-            eaves_m: planner.range(4.0, 9.5),
-            roof,
-            wall: palette::facade(planner),
-            cover,
-        };
-        erect_house(planner, plot, [end * (length - 0.8 - depth), 0.0], design);
+        let eaves_m = planner.range(4.0, 9.5);
+        let design = Design::new(eaves_m, palette::facade(planner), roof);
+        let at = [end * (length - 0.8 - depth), 0.0];
+        erect_house(planner, plot, at, [depth, half_width], design);
     }
 }
 
 fn courtyard(planner: &mut Planner, plot: &Plot, half: [f64; 2]) {
     let green = planner.pick(&[Material::Lawn, Material::Lawn, Material::Garden]);
-    planner.cover(plot, [0.0, 0.0], half, Class::Ground, green);
+    planner.cover(plot, [0.0, 0.0], half, green);
     let path = palette::paving(planner);
-    planner.cover(plot, [0.0, 0.0], [half[0], 0.9], Class::Ground, path);
+    planner.cover(plot, [0.0, 0.0], [half[0], 0.9], path);
     let cross = planner.range(-0.4, 0.4) * half[0];
-    planner.cover(plot, [cross, 0.0], [0.9, half[1]], Class::Ground, path);
+    planner.cover(plot, [cross, 0.0], [0.9, half[1]], path);
     let trees = (half[0] * half[1] / 13.0).ceil() as u32;
     for _ in 0..trees {
         let at = [planner.range(-0.95, 0.95) * half[0], planner.range(-0.8, 0.8) * half[1]];

@@ -16,12 +16,13 @@ pub(crate) use ground::GroundCover;
 
 use crate::cars::CarSlot;
 use crate::cover::{Coast, Covered, Shore};
-use crate::materials::{Class, Material};
+use crate::materials::{Class, Material, grey};
 use crate::noise::{hash2, stream};
 use crate::request::Cover;
 use crate::solid::Solids;
 use crate::terrain::{HeightField, Relief};
 use crate::vegetation::{Hedge, Tree};
+use Use::{Apartments, Commerce, Houses, Park, Tower};
 use building::Building;
 use ground::{Landform, Outline, Zone};
 use planner::{Planner, Plot};
@@ -79,11 +80,8 @@ impl City {
     pub(crate) fn new(seed: u64, plan: CityPlan) -> Self {
         let bend = Bend::new(seed);
         let town = plan.town.then(|| Town::new(seed));
-        let relief = match &town {
-            Some(town) => Relief::new(seed).with(town.hill),
-            None => Relief::new(seed),
-        };
-        let park = (town.as_ref()).map(|town| bend.uv_from_xy(town.park[0], town.park[1]));
+        let relief = Relief::new(seed, town.as_ref().map(|town| town.hill));
+        let park = town.as_ref().map(|town| bend.uv_from_xy(town.park));
         // A turned square must still reach into the corners of the terrain.
         let streets = StreetPlan::new(seed, 1.5 * plan.half_extent_m, plan.longest_block_m, park);
         let mut planner = Planner::new(seed, bend, relief);
@@ -106,13 +104,13 @@ impl City {
         for street in &streets.streets {
             parked_cars(&mut planner, street);
         }
-        let covered = plan.cover.map(|cover| match cover {
-            Cover::Sea | Cover::Nodata => Covered::Sea(Coast::new(seed, &relief)),
-            Cover::Snow => Covered::Snow(Shore::new(seed)),
-        });
-        let coast = match covered {
-            Some(Covered::Sea(coast)) => Some(coast),
-            _ => None,
+        let (coast, covered) = match plan.cover {
+            Some(Cover::Sea | Cover::Nodata) => {
+                let coast = Coast::new(seed, &relief);
+                (Some(coast), Some(Covered::Sea(coast)))
+            }
+            Some(Cover::Snow) => (None, Some(Covered::Snow(Shore::new(seed)))),
+            None => (None, None),
         };
         if let Some(coast) = &coast {
             planner.clear(|[x, y], reach_m| coast.shore.inside_m(x, y) + reach_m > -QUAY_M);
@@ -127,7 +125,7 @@ impl City {
         let terrain = HeightField::sample(plan.half_extent_m, TERRAIN_CELL_M, |x, y| landform.height_m(x, y));
         Self {
             terrain,
-            ground: GroundCover::new(bend, planner.zones, hash2(seed, 0x60) as u32).under(covered),
+            ground: GroundCover::new(bend, planner.zones, covered, hash2(seed, 0x60) as u32),
             buildings: planner.buildings,
             trees: planner.trees,
             hedges: planner.hedges,
@@ -183,8 +181,7 @@ impl City {
 /// Blocks that touch the built square, nearest to its centre first.
 fn near_blocks(bend: &Bend, blocks: &[Block], half_extent_m: f64) -> Vec<Block> {
     let distance_m = |block: &Block| {
-        let [u, v] = block.centre();
-        let [x, y] = bend.xy_from_uv(u, v);
+        let [x, y] = bend.xy_from_uv(block.centre());
         (x.abs().max(y.abs()), block.half()[0].hypot(block.half()[1]))
     };
     let mut kept: Vec<(f64, Block)> = (blocks.iter())
@@ -200,27 +197,11 @@ fn near_blocks(bend: &Bend, blocks: &[Block], half_extent_m: f64) -> Vec<Block> 
 fn purposes(seed: u64, count: usize) -> Vec<Use> {
     let mut random = stream(seed, 0xDEA1);
     // The blocks nearest the centre are in every site: one of each kind.
-    let mut dealt = vec![
-        Use::Houses,
-        Use::Apartments,
-        Use::Park,
-        if random.random_bool(0.5) {
-            Use::Commerce
-        } else {
-            Use::Tower
-        },
-    ];
+    let work = if random.random_bool(0.5) { Commerce } else { Tower };
+    let mut dealt = vec![Houses, Apartments, Park, work];
     dealt.shuffle(&mut random);
     while dealt.len() < count {
-        let mut hand = [
-            Use::Houses,
-            Use::Apartments,
-            Use::Houses,
-            Use::Commerce,
-            Use::Tower,
-            Use::Apartments,
-            Use::Park,
-        ];
+        let mut hand = [Houses, Apartments, Houses, Commerce, Tower, Apartments, Park];
         hand.shuffle(&mut random);
         dealt.extend(hand);
     }
@@ -229,49 +210,37 @@ fn purposes(seed: u64, count: usize) -> Vec<Use> {
 }
 
 fn fill(planner: &mut Planner, block: &Block, purpose: Use) {
-    let plot = Plot::inside(block, PAVEMENT_M);
-    match purpose {
-        Use::Houses => homes::houses(planner, &plot),
-        Use::Apartments => homes::apartments(planner, &plot),
-        Use::Commerce => works::commerce(planner, &plot),
-        Use::Tower => works::tower(planner, &plot),
-        Use::Park => works::park(planner, &plot),
-    }
+    let build = match purpose {
+        Houses => homes::houses,
+        Apartments => homes::apartments,
+        Commerce => works::commerce,
+        Tower => works::tower,
+        Park => works::park,
+    };
+    build(planner, &Plot::inside(block, PAVEMENT_M));
 }
 
 fn lay_street(planner: &mut Planner, street: &Street) {
     let asphalt = palette::asphalt(planner);
     let seed = planner.next_seed() as u32;
+    let half = [street.half_length, street.half_width];
+    let material = Material::Street(asphalt, half);
     planner.zones.push(Zone {
-        centre: street.centre,
-        half: [street.half_length, street.half_width],
-        turn: if street.along_u {
-            [0.0, 1.0]
-        } else {
-            std::f64::consts::FRAC_PI_2.sin_cos().into()
-        },
-        outline: Outline::Rounded(0.0),
         class: Class::Road,
-        material: Material::Street(asphalt, [street.half_length, street.half_width]),
-        seed,
+        ..Zone::rectangle(street.centre, half, street.along_u, material, seed)
     });
 }
 
 /// Adds the zones of a block: a kerb stone around a pavement. Returns the outer outline.
 fn lay_pavement(planner: &mut Planner, block: &Block) -> Zone {
+    let (stone, seed) = (Material::Concrete(grey(0.40)), planner.next_seed() as u32);
     let kerb = Zone {
-        centre: block.centre(),
-        half: block.half(),
-        turn: [0.0, 1.0],
         outline: Outline::Rounded(3.0),
-        class: Class::Ground,
-        material: Material::Concrete(crate::materials::grey(0.40)),
-        seed: planner.next_seed() as u32,
+        ..Zone::rectangle(block.centre(), block.half(), true, stone, seed)
     };
-    let slabs = palette::paving(planner);
     let pavement = Zone {
         half: block.half().map(|h| h - 0.3),
-        material: slabs,
+        material: palette::paving(planner),
         seed: planner.next_seed() as u32,
         ..kerb
     };
@@ -289,8 +258,8 @@ fn parked_cars(planner: &mut Planner, street: &Street) {
         half.swap(0, 1);
     }
     let carriageway = Block {
-        low: [street.centre[0] - half[0], street.centre[1] - half[1]],
-        high: [street.centre[0] + half[0], street.centre[1] + half[1]],
+        low: [0, 1].map(|axis| street.centre[axis] - half[axis]),
+        high: [0, 1].map(|axis| street.centre[axis] + half[axis]),
     };
     let plot = Plot::inside(&carriageway, 0.0);
     for side in [-1.0, 1.0] {

@@ -46,10 +46,10 @@ pub(crate) fn flat_cover(planner: &mut Planner) -> Material {
     match planner.pick(&[0, 0, 1, 1, 2, 3, 4]) {
         0 => Material::Gravel(tinted(planner, [0.25, 0.24, 0.22, 0.27], 0.2)),
         1 => Material::Bitumen(tinted(planner, [0.115, 0.115, 0.12, 0.13], 0.3)),
-        2 => Material::Slabs(
-            tinted(planner, [0.32, 0.31, 0.28, 0.35], 0.15),
-            planner.pick(&[1.2, 2.4]),
-        ),
+        2 => {
+            let colour = tinted(planner, [0.32, 0.31, 0.28, 0.35], 0.15);
+            Material::Slabs(colour, planner.pick(&[1.2, 2.4]))
+        }
         3 => Material::Membrane(tinted(planner, [0.56, 0.56, 0.54, 0.54], 0.12)),
         _ => Material::Concrete(tinted(planner, [0.30, 0.29, 0.27, 0.33], 0.2)),
     }

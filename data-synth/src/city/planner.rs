@@ -1,7 +1,7 @@
 //! The city under construction: zones, buildings, trees and cars placed so far, one block at a time, in the axes of the
 //! block.
 
-use super::building::{Building, Roof};
+use super::building::{Building, Design};
 use super::ground::{Outline, Pond, Zone};
 use super::streets::{Bend, Block};
 use crate::cars::CarSlot;
@@ -12,6 +12,7 @@ use crate::terrain::Relief;
 use crate::vegetation::{Hedge, Tree, TreeKind};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
+use std::f64::consts::FRAC_PI_2;
 
 /// Objects of the city so far, and the random numbers of the next ones.
 pub(crate) struct Planner {
@@ -62,39 +63,20 @@ impl Plot {
     }
 
     /// City coordinates of the place (`a`, `b`) of the plot, metres.
-    pub(crate) fn uv(&self, a: f64, b: f64) -> [f64; 2] {
+    pub(crate) fn uv(&self, [a, b]: [f64; 2]) -> [f64; 2] {
         let [u, v] = self.centre;
         if self.along_u { [u + a, v + b] } else { [u - b, v + a] }
     }
 
     /// Sign of `a` on the side of the plot that faces the origin of the city: -1 or 1.
     pub(crate) fn towards_centre(&self) -> f64 {
-        let [u, v] = self.centre;
-        if (if self.along_u { u } else { v }) > 0.0 {
-            -1.0
-        } else {
-            1.0
-        }
+        let from_centre = self.centre[usize::from(!self.along_u)];
+        if from_centre > 0.0 { -1.0 } else { 1.0 }
     }
 
     fn turn_rad(&self) -> f64 {
-        if self.along_u { 0.0 } else { std::f64::consts::FRAC_PI_2 }
+        if self.along_u { 0.0 } else { FRAC_PI_2 }
     }
-}
-
-/// Size and materials of a building without a place.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Design {
-    /// Half length and half width, metres.
-    pub(crate) half: [f64; 2],
-    /// Height of the eaves or of the flat roof above the floor, metres.
-    pub(crate) eaves_m: f64,
-    /// Shape of the roof.
-    pub(crate) roof: Roof,
-    /// Material of the walls.
-    pub(crate) wall: Material,
-    /// Material of the roof.
-    pub(crate) cover: Material,
 }
 
 impl Planner {
@@ -136,49 +118,38 @@ impl Planner {
     }
 
     /// Covers a rectangle of a plot around `at`, with half length and half width `half`, metres.
-    pub(crate) fn cover(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2], class: Class, material: Material) {
+    pub(crate) fn cover(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2], material: Material) {
         let seed = self.next_seed() as u32;
-        self.zones.push(Zone {
-            centre: plot.uv(at[0], at[1]),
-            half,
-            turn: plot.turn_rad().sin_cos().into(),
-            outline: Outline::Rounded(0.0),
-            class,
-            material,
-            seed,
-        });
+        let zone = Zone::rectangle(plot.uv(at), half, plot.along_u, material, seed);
+        self.zones.push(zone);
     }
 
     /// Footprint around the place `at` of a plot, turned as the plot is.
     pub(crate) fn footprint(&self, plot: &Plot, at: [f64; 2], half: [f64; 2]) -> Footprint {
-        let [u, v] = plot.uv(at[0], at[1]);
-        let [x, y] = self.bend.xy_from_uv(u, v);
+        let uv = plot.uv(at);
+        let [x, y] = self.bend.xy_from_uv(uv);
         Footprint {
             x,
             y,
-            angle_rad: self.bend.direction_rad(u, v) + plot.turn_rad(),
+            angle_rad: self.bend.direction_rad(uv) + plot.turn_rad(),
             half,
         }
     }
 
-    /// Adds a building and returns its footprint. The floor lies 0.15 m above the highest ground at its corners.
-    pub(crate) fn erect(&mut self, plot: &Plot, at: [f64; 2], design: Design) -> Footprint {
-        let plan = self.footprint(plot, at, design.half);
-        let corners = plan.corners(0.0);
+    /// Adds a building. The floor lies 0.15 m above the highest ground at its corners.
+    pub(crate) fn erect(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2], design: Design) {
+        let footprint = self.footprint(plot, at, half);
+        let corners = footprint.corners(0.0);
         let ground = (corners.iter())
             .map(|c| self.relief.height_m(c.x, c.y))
             .fold(f64::NEG_INFINITY, f64::max);
         let seed = self.next_seed();
         self.buildings.push(Building {
-            footprint: plan,
+            footprint,
             floor_z: ground + 0.15,
-            eaves_m: design.eaves_m,
-            roof: design.roof,
-            wall: design.wall,
-            cover: design.cover,
+            design,
             seed,
         });
-        plan
     }
 
     /// Random number in [0, 1).
@@ -189,21 +160,19 @@ impl Planner {
     /// Adds a bay for a car, along the length of the plot or across it.
     pub(crate) fn park(&mut self, plot: &Plot, at: [f64; 2], across: bool) {
         let plan = self.footprint(plot, at, [2.5, 1.1]);
+        let turn_rad = if across { FRAC_PI_2 } else { 0.0 };
         let seed = self.next_seed();
         self.car_slots.push(CarSlot {
             x: plan.x,
             y: plan.y,
-            angle_rad: plan.angle_rad + if across { std::f64::consts::FRAC_PI_2 } else { 0.0 },
+            angle_rad: plan.angle_rad + turn_rad,
             seed,
         });
     }
 
     /// Adds a hedge between two points of a plot.
     pub(crate) fn hedge(&mut self, plot: &Plot, from: [f64; 2], to: [f64; 2]) {
-        let ends = [from, to].map(|[a, b]| {
-            let [u, v] = plot.uv(a, b);
-            self.bend.xy_from_uv(u, v)
-        });
+        let ends = [from, to].map(|place| self.bend.xy_from_uv(plot.uv(place)));
         let seed = self.next_seed();
         let height_m = self.range(1.2, 2.0);
         self.hedges.push(Hedge { ends, height_m, seed });
@@ -224,8 +193,8 @@ impl Planner {
         self.car_slots.retain(|slot| !taken([slot.x, slot.y], 2.5));
         let bend = self.bend;
         let gone = |zone: &Zone| {
-            let [u, v] = zone.centre;
-            taken(bend.xy_from_uv(u, v), zone.half[0].hypot(zone.half[1]) + SHORE_M)
+            let reach_m = zone.half[0].hypot(zone.half[1]) + SHORE_M;
+            taken(bend.xy_from_uv(zone.centre), reach_m)
         };
         self.ponds.retain(|pond| !gone(&pond.zone));
         self.zones.retain(|zone| zone.class != Class::Water || !gone(zone));
@@ -235,18 +204,14 @@ impl Planner {
     pub(crate) fn pond(&mut self, plot: &Plot, at: [f64; 2], half: [f64; 2]) {
         let seed = self.next_seed() as u32;
         let zone = Zone {
-            centre: plot.uv(at[0], at[1]),
-            half,
-            turn: plot.turn_rad().sin_cos().into(),
             outline: Outline::Blob,
             class: Class::Water,
-            material: Material::Water,
-            seed,
+            ..Zone::rectangle(plot.uv(at), half, plot.along_u, Material::Water, seed)
         };
         let rim = |k: u32| {
-            let angle = f64::from(k) * 0.4;
-            let [u, v] = plot.uv(at[0] + 1.2 * half[0] * angle.cos(), at[1] + 1.2 * half[1] * angle.sin());
-            let [x, y] = self.bend.xy_from_uv(u, v);
+            let (sin, cos) = (f64::from(k) * 0.4).sin_cos();
+            let place = [at[0] + 1.2 * half[0] * cos, at[1] + 1.2 * half[1] * sin];
+            let [x, y] = self.bend.xy_from_uv(plot.uv(place));
             self.relief.height_m(x, y)
         };
         let level_m = (0..16).map(rim).fold(f64::INFINITY, f64::min) - 0.5;

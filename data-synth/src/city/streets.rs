@@ -31,14 +31,14 @@ impl Bend {
     }
 
     /// City coordinates of a place (metres east and north of the site's centre).
-    pub(crate) fn uv_from_xy(&self, x: f64, y: f64) -> [f64; 2] {
+    pub(crate) fn uv_from_xy(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [sin, cos] = self.turn;
         let (u, v) = (x * cos + y * sin, y * cos - x * sin);
         [u + self.shift(0, v), v + self.shift(1, u)]
     }
 
     /// Place of city coordinates, by fixed-point iteration; each step shrinks the error at least tenfold.
-    pub(crate) fn xy_from_uv(&self, u: f64, v: f64) -> [f64; 2] {
+    pub(crate) fn xy_from_uv(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         let (mut p, mut q) = (u, v);
         for _ in 0..30 {
             (p, q) = (u - self.shift(0, q), v - self.shift(1, p));
@@ -48,9 +48,9 @@ impl Bend {
     }
 
     /// Direction of u at city coordinates, radians from east; v is a quarter turn on, within the bend.
-    pub(crate) fn direction_rad(&self, u: f64, v: f64) -> f64 {
-        let (a, b) = (self.xy_from_uv(u - 3.0, v), self.xy_from_uv(u + 3.0, v));
-        let (c, d) = (self.xy_from_uv(u, v - 3.0), self.xy_from_uv(u, v + 3.0));
+    pub(crate) fn direction_rad(&self, [u, v]: [f64; 2]) -> f64 {
+        let (a, b) = (self.xy_from_uv([u - 3.0, v]), self.xy_from_uv([u + 3.0, v]));
+        let (c, d) = (self.xy_from_uv([u, v - 3.0]), self.xy_from_uv([u, v + 3.0]));
         // The mean of both axes' turns, so that neither side of a block is favoured.
         let along_u = (b[1] - a[1]).atan2(b[0] - a[0]);
         let along_v = (c[0] - d[0]).atan2(d[1] - c[1]);
@@ -164,8 +164,7 @@ mod tests {
         let bend = Bend::new(4);
         for k in 0..100 {
             let (x, y) = (f64::from(k) * 3.1 - 150.0, f64::from(k) * -2.3 + 110.0);
-            let [u, v] = bend.uv_from_xy(x, y);
-            let [x_back, y_back] = bend.xy_from_uv(u, v);
+            let [x_back, y_back] = bend.xy_from_uv(bend.uv_from_xy([x, y]));
             assert!((x - x_back).abs() < 1e-9 && (y - y_back).abs() < 1e-9);
         }
     }

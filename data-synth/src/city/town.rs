@@ -1,7 +1,7 @@
 //! The make-up of a town: a dense centre, suburbs, works on one side, a hill of houses, and a large park opposite the
 //! hill.
 
-use super::Use;
+use super::Use::{self, Apartments, Commerce, Houses, Park, Tower};
 use super::streets::{Bend, Block};
 use crate::noise::stream;
 use crate::terrain::Hill;
@@ -18,26 +18,10 @@ const WORKS_RAD: f64 = 0.5;
 /// Distance of the park from the centre, metres.
 const PARK_M: f64 = 270.0;
 /// Uses and their weights in the centre, around it, and outside.
-const CENTRE: [(Use, u32); 4] = [
-    (Use::Tower, 7),
-    (Use::Apartments, 8),
-    (Use::Commerce, 3),
-    (Use::Park, 2),
-];
-const INNER: [(Use, u32); 5] = [
-    (Use::Apartments, 9),
-    (Use::Houses, 5),
-    (Use::Commerce, 3),
-    (Use::Tower, 2),
-    (Use::Park, 1),
-];
-const OUTER: [(Use, u32); 4] = [
-    (Use::Houses, 14),
-    (Use::Apartments, 3),
-    (Use::Commerce, 2),
-    (Use::Park, 1),
-];
-const WORKS: [(Use, u32); 3] = [(Use::Commerce, 8), (Use::Apartments, 1), (Use::Houses, 1)];
+const CENTRE: [(Use, u32); 4] = [(Tower, 7), (Apartments, 8), (Commerce, 3), (Park, 2)];
+const INNER: [(Use, u32); 5] = [(Apartments, 9), (Houses, 5), (Commerce, 3), (Tower, 2), (Park, 1)];
+const OUTER: [(Use, u32); 4] = [(Houses, 14), (Apartments, 3), (Commerce, 2), (Park, 1)];
+const WORKS: [(Use, u32); 3] = [(Commerce, 8), (Apartments, 1), (Houses, 1)];
 
 /// Places of the parts of a town.
 pub(super) struct Town {
@@ -72,11 +56,10 @@ impl Town {
 
     /// The use of a block.
     pub(super) fn purpose(&mut self, bend: &Bend, block: &Block) -> Use {
-        if block.contains(bend.uv_from_xy(self.park[0], self.park[1])) {
-            return Use::Park;
+        if block.contains(bend.uv_from_xy(self.park)) {
+            return Park;
         }
-        let [u, v] = block.centre();
-        let [x, y] = bend.xy_from_uv(u, v);
+        let [x, y] = bend.xy_from_uv(block.centre());
         let from_centre_m = x.hypot(y);
         let aside_rad = (y.atan2(x) - self.works_rad).sin().abs();
         let ahead = x * self.works_rad.cos() + y * self.works_rad.sin() > 0.0;
@@ -93,6 +76,6 @@ impl Town {
         };
         // The weights are positive constants.
         uses.choose_weighted(&mut self.random, |(_, weight)| *weight)
-            .map_or(Use::Houses, |(purpose, _)| *purpose)
+            .map_or(Houses, |(purpose, _)| *purpose)
     }
 }

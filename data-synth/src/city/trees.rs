@@ -9,7 +9,7 @@ use rand::RngExt;
 impl Planner {
     /// Requests a tree at the place `at` of a plot, metres. [`Self::grow`] makes it if nothing is in its way.
     pub(crate) fn plant(&mut self, plot: &Plot, at: [f64; 2], radius_m: f64, kind: TreeKind) {
-        self.wanted_trees.push((plot.uv(at[0], at[1]), radius_m, kind));
+        self.wanted_trees.push((plot.uv(at), radius_m, kind));
     }
 
     /// Grows the requested trees, except where a wall, another tree or water is in the way.
@@ -20,7 +20,7 @@ impl Planner {
     }
 
     fn grow_one(&mut self, uv: [f64; 2], radius_m: f64, kind: TreeKind) {
-        let [x, y] = self.bend.xy_from_uv(uv[0], uv[1]);
+        let [x, y] = self.bend.xy_from_uv(uv);
         let near_wall = (self.buildings.iter()).any(|b| b.footprint.distance_m(x, y) < 0.7 * radius_m + 0.4);
         let near_tree = (self.trees.iter()).any(|t| (t.x - x).hypot(t.y - y) < 0.62 * (t.radius_m + radius_m));
         let near_water = (self.ponds.iter()).any(|p| p.zone.distance_m(uv) < 0.6 * radius_m + 0.5);
