@@ -16,7 +16,7 @@ use crate::encoding::srgb;
 use crate::error::SynthError;
 use crate::ray::Ray;
 use crate::write::Staging;
-use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba32FImage, RgbaImage};
+use image::{DynamicImage, ImageBuffer, Luma, Rgb, Rgba};
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 use sampler::PathSampler;
@@ -85,7 +85,7 @@ impl LookAtCamera {
 }
 
 /// One pixel: colour times coverage, coverage, mean normal.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Pixel {
     colour: Vector3<f64>,
     coverage: f64,
@@ -99,18 +99,12 @@ struct Pixel {
 impl Pixel {
     /// Variance of the written value, mean over the colours.
     fn variance(&self, linear: bool) -> f64 {
-        let slope = |value: f64| match linear {
+        let slope = |value: f64| (f64::from(display(value + 1e-3)) - f64::from(display(value - 1e-3))) / 255.0 / 2e-3;
+        let slope_at = |k: usize| match linear {
             true => 1.0,
-            false => (f64::from(display(value + 1e-3)) - f64::from(display(value - 1e-3))) / 255.0 / 2e-3,
+            false => slope(self.colour[k] / self.coverage.max(1e-9)),
         };
-        let shown = |k: usize| {
-            if linear {
-                self.colour[k]
-            } else {
-                self.colour[k] / self.coverage.max(1e-9)
-            }
-        };
-        (0..3).map(|k| (slope(shown(k)) * self.doubt[k]).powi(2)).sum::<f64>() / 3.0
+        (0..3).map(|k| (slope_at(k) * self.doubt[k]).powi(2)).sum::<f64>() / 3.0
     }
 }
 
@@ -138,10 +132,9 @@ pub fn write_object(
             let camera = LookAtCamera::new(shot.eye, request.size_px);
             let pixels = photograph(request, &stage, shot, &camera, done as u64);
             covered += pixels.iter().map(|p| p.coverage).sum::<f64>() / (pixels.len() * total) as f64;
-            write_image(request, &staging, &name, &pixels)?;
+            write_image(linear, &staging, &name, &pixels)?;
             if split == "test" {
-                write_normals(request, &staging, &name, &pixels)?;
-                write_parts(request, &staging, &name, &pixels)?;
+                write_truth(&staging, &name, &pixels)?;
                 let variance = pixels.iter().map(|p| p.variance(linear)).sum::<f64>() / pixels.len() as f64;
                 floors.push(-10.0 * variance.max(1e-12).log10());
             }
@@ -200,13 +193,7 @@ fn photograph(request: &ObjectRequest, stage: &Stage, shot: &Shot, camera: &Look
         .with_min_len(64)
         .map(|i| {
             let seed = (request.seed << 48) ^ (number << 32) ^ i as u64;
-            let mut pixel = Pixel {
-                colour: Vector3::zeros(),
-                coverage: 0.0,
-                normal: Vector3::zeros(),
-                doubt: Vector3::zeros(),
-                part: None,
-            };
+            let mut pixel = Pixel::default();
             let mut met = vec![0usize; stage.parts.len()];
             for path in 0..paths {
                 let mut sampler = PathSampler::new(seed, path);
@@ -235,42 +222,42 @@ fn display(linear: f64) -> u8 {
     (srgb(linear.clamp(0.0, 1.0)) * 255.0).round() as u8
 }
 
-fn save(staging: &Staging, relative: &str, picture: DynamicImage) -> Result<(), SynthError> {
+/// Writes a square picture of the pixels in the format of the name's ending.
+fn save<P: image::Pixel>(
+    staging: &Staging,
+    relative: &str,
+    pixels: &[Pixel],
+    of: impl Fn(&Pixel) -> P,
+) -> Result<(), SynthError>
+where
+    DynamicImage: From<ImageBuffer<P, Vec<P::Subpixel>>>,
+{
+    let size = pixels.len().isqrt() as u32;
+    let picture = ImageBuffer::from_fn(size, size, |x, y| of(&pixels[(y * size + x) as usize]));
     let path = staging.path(relative)?;
-    picture
-        .save(&path)
-        .map_err(|source| SynthError::unwritable(&path, source))
+    (DynamicImage::from(picture).save(&path)).map_err(|source| SynthError::unwritable(&path, source))
 }
 
 /// Writes captures under one light as linear EXR, and others as PNG for a display.
-fn write_image(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
-    let size = request.size_px as u32;
-    let at = |x: u32, y: u32| &pixels[(y * size + x) as usize];
-    if request.capture == Capture::Olat {
-        let picture = Rgba32FImage::from_fn(size, size, |x, y| {
-            let p = at(x, y);
-            image::Rgba([
-                p.colour.x as f32,
-                p.colour.y as f32,
-                p.colour.z as f32,
-                p.coverage as f32,
-            ])
-        });
-        return save(staging, &format!("{name}.exr"), picture.into());
+fn write_image(linear: bool, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
+    if linear {
+        let pixel = |p: &Pixel| {
+            let [r, g, b] = [0, 1, 2].map(|k| p.colour[k] as f32);
+            Rgba([r, g, b, p.coverage as f32])
+        };
+        return save(staging, &format!("{name}.exr"), pixels, pixel);
     }
-    let picture = RgbaImage::from_fn(size, size, |x, y| {
-        let p = at(x, y);
+    let pixel = |p: &Pixel| {
         let [r, g, b] = [0, 1, 2].map(|k| display(p.colour[k] / p.coverage.max(1e-9)));
-        image::Rgba([r, g, b, (p.coverage * 255.0).round() as u8])
-    });
-    save(staging, &format!("{name}.png"), picture.into())
+        Rgba([r, g, b, (p.coverage * 255.0).round() as u8])
+    };
+    save(staging, &format!("{name}.png"), pixels, pixel)
 }
 
-fn write_normals(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
-    let size = request.size_px as u32;
-    let picture = RgbImage::from_fn(size, size, |x, y| {
-        let p = &pixels[(y * size + x) as usize];
-        // Black where most of the pixel shows nothing.
+/// Writes the normals, black where most of the pixel shows nothing, and the number of each pixel's part, counted from
+/// 1; 0 where there is none.
+fn write_truth(staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
+    let normal = |p: &Pixel| {
         let known = p.coverage > 0.5 && p.normal.norm() > 0.0;
         let n = if known {
             p.normal.normalize()
@@ -278,17 +265,10 @@ fn write_normals(request: &ObjectRequest, staging: &Staging, name: &str, pixels:
             Vector3::repeat(-1.0)
         };
         Rgb([0, 1, 2].map(|k| (127.5 * (n[k] + 1.0)).round() as u8))
-    });
-    save(staging, &format!("truth/{name}_normal.png"), picture.into())
-}
-
-/// Writes the number of each pixel's part, counted from 1; 0 where there is none.
-fn write_parts(request: &ObjectRequest, staging: &Staging, name: &str, pixels: &[Pixel]) -> Result<(), SynthError> {
-    let size = request.size_px as u32;
-    let picture = GrayImage::from_fn(size, size, |x, y| {
-        Luma([pixels[(y * size + x) as usize].part.map_or(0, |part| part as u8 + 1)])
-    });
-    save(staging, &format!("truth/{name}_part.png"), picture.into())
+    };
+    let part = |p: &Pixel| Luma([p.part.map_or(0, |part| part as u8 + 1)]);
+    save(staging, &format!("truth/{name}_normal.png"), pixels, normal)?;
+    save(staging, &format!("truth/{name}_part.png"), pixels, part)
 }
 
 #[cfg(test)]

@@ -90,24 +90,17 @@ impl PartMaterial {
         };
         let colour = self.colours[0] * (1.0 - share) + self.colours[1] * share;
         // Brushed around the own axis.
-        let around = own_up.cross(&normal);
-        let tangent = if around.norm() > 1e-6 {
-            around.normalize()
-        } else {
-            across(&normal)
-        };
+        let around = own_up.cross(&normal).try_normalize(1e-6);
+        let tangent = around.unwrap_or_else(|| across(&normal));
         let gloss = self.gloss.map(|gloss| Gloss {
             normal_reflectance: if self.metal { colour } else { gloss.normal_reflectance },
             ..gloss
         });
+        let baseless = self.metal || self.medium.is_some();
         SurfacePoint {
             normal,
             tangent,
-            base: if self.metal || self.medium.is_some() {
-                Colour::zeros()
-            } else {
-                colour
-            },
+            base: if baseless { Colour::zeros() } else { colour },
             gloss,
             medium: self.medium,
         }
@@ -200,11 +193,8 @@ impl SurfacePoint {
             half * (2.0 * half.dot(&eye)) - eye
         } else {
             let (azimuth, radius) = (2.0 * PI * u.x, u.y.sqrt());
-            Vector3::new(
-                radius * azimuth.cos(),
-                radius * azimuth.sin(),
-                (1.0 - u.y).max(0.0).sqrt(),
-            )
+            let up = (1.0 - u.y).max(0.0).sqrt();
+            Vector3::new(radius * azimuth.cos(), radius * azimuth.sin(), up)
         };
         (light.z > 1e-6).then(|| self.world(&light).normalize())
     }

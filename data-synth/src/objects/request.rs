@@ -62,22 +62,23 @@ impl Default for ObjectRequest {
 }
 
 impl ObjectRequest {
+    /// Usual numbers of images to train with and of images held out.
+    fn usual(&self) -> [usize; 2] {
+        match self.capture {
+            Capture::Object => [30, 15],
+            Capture::Olat => [160, 40],
+            Capture::Reflective => [80, 20],
+        }
+    }
+
     /// Number of images to train with: `views`, or the usual number of such captures.
     pub fn training(&self) -> usize {
-        self.views.unwrap_or(match self.capture {
-            Capture::Object => 30,
-            Capture::Olat => 160,
-            Capture::Reflective => 80,
-        })
+        self.views.unwrap_or(self.usual()[0])
     }
 
     /// Number of images held out: `held_out`, or the usual number of such captures.
     pub fn testing(&self) -> usize {
-        self.held_out.unwrap_or(match self.capture {
-            Capture::Object => 15,
-            Capture::Olat => 40,
-            Capture::Reflective => 20,
-        })
+        self.held_out.unwrap_or(self.usual()[1])
     }
 
     /// Checks the request.

@@ -44,10 +44,8 @@ impl PathSampler {
     /// One number and a pair of numbers in [0, 1) for one of the two samples (0 or 1) at a turn of the path.
     pub(crate) fn at_turn(&self, turn: usize, sample: u32) -> (f64, Vector2<f64>) {
         let first = OF_PIXEL + PER_TURN * turn as u32 + 3 * sample;
-        (
-            self.sobol(first),
-            Vector2::new(self.sobol(first + 1), self.sobol(first + 2)),
-        )
+        let pair = Vector2::new(self.sobol(first + 1), self.sobol(first + 2));
+        (self.sobol(first), pair)
     }
 
     /// Number in [0, 1), independent of those of other paths.

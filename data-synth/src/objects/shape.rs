@@ -83,10 +83,7 @@ fn cuboid(origin: &Vector3<f64>, direction: &Vector3<f64>, half: &Vector3<f64>) 
             }
             continue;
         }
-        let (a, b) = (
-            (-half[k] - origin[k]) / direction[k],
-            (half[k] - origin[k]) / direction[k],
-        );
+        let [a, b] = [-half[k], half[k]].map(|wall| (wall - origin[k]) / direction[k]);
         if a.min(b) > enter.0 {
             enter = (a.min(b), k);
         }
@@ -123,11 +120,8 @@ fn torus(origin: &Vector3<f64>, direction: &Vector3<f64>, major: f64, minor: f64
     if first == 0.0 && field(origin).abs() < 10.0 * SELF_HIT {
         t += 20.0 * SELF_HIT;
     }
-    let sign = if first > 0.0 {
-        1.0
-    } else {
-        field(&(origin + direction * t)).signum()
-    };
+    let inside = first <= 0.0 && field(&(origin + direction * t)).is_sign_negative();
+    let sign = if inside { -1.0 } else { 1.0 };
     for _ in 0..TORUS_STEPS {
         if t > last {
             return None;
@@ -143,11 +137,9 @@ fn torus(origin: &Vector3<f64>, direction: &Vector3<f64>, major: f64, minor: f64
     if field(&point).abs() > 2.0 * SELF_HIT {
         return None;
     }
-    let t = if across.abs() > 0.1 {
-        t - field(&point) / across
-    } else {
-        t
-    };
+    if across.abs() > 0.1 {
+        t -= field(&point) / across;
+    }
     (t > SELF_HIT).then(|| (t, slope(&(origin + direction * t))))
 }
 

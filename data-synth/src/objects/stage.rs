@@ -66,11 +66,8 @@ impl Dice {
 }
 
 fn direction(azimuth: f64, elevation: f64) -> Vector3<f64> {
-    Vector3::new(
-        elevation.cos() * azimuth.cos(),
-        elevation.cos() * azimuth.sin(),
-        elevation.sin(),
-    )
+    let level = elevation.cos();
+    Vector3::new(level * azimuth.cos(), level * azimuth.sin(), elevation.sin())
 }
 
 /// `count` places spread evenly over the dome above `lowest` (sine of the elevation), turned by `phase`.
@@ -93,15 +90,13 @@ fn plain(look: Look, dice: &mut Dice, pattern: Pattern) -> PartMaterial {
         metal: false,
         medium: None,
     };
-    match look {
-        Look::Glossy => PartMaterial {
-            gloss: Some(Gloss {
-                alpha: [0.08; 2],
-                normal_reflectance: Colour::repeat(0.05),
-            }),
-            ..matte
-        },
-        _ => matte,
+    let coat = Gloss {
+        alpha: [0.08; 2],
+        normal_reflectance: Colour::repeat(0.05),
+    };
+    PartMaterial {
+        gloss: (look == Look::Glossy).then_some(coat),
+        ..matte
     }
 }
 
@@ -146,7 +141,6 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
         },
         material,
     };
-    let still = Rotation3::identity();
     let start = dice.between(0.0, 2.0 * PI);
     let place = |step: f64, radius: f64, up: f64| {
         let angle = start + step * 2.0 * PI / 3.0;
@@ -163,69 +157,49 @@ fn parts(look: Look, dice: &mut Dice) -> Vec<Part> {
         * Rotation3::from_axis_angle(&Vector3::x_axis(), dice.between(0.9, 1.3));
     let ring_up = floor + minor + major * (lean * Vector3::z()).xy().norm();
     let spin = dice.turn();
+    let plain_plate = plain(look, dice, Pattern::Checks(0.24));
+    let special_ball = special(look, dice, Pattern::Spots(0.5));
+    let special_ring = special(look, dice, Pattern::Bands(0.2));
+    let plain_block = plain(look, dice, Pattern::Checks(0.13));
+    let (middle, still) = (Vector3::new(0.0, 0.0, -0.5), Rotation3::identity());
+    let ball_at = place(0.0, 0.5, floor + ball);
+    let (ring_at, block_at) = (place(1.0, 0.52, ring_up), place(2.0, 0.52, floor + block.z));
     vec![
-        part(
-            Shape::Box { half: plate },
-            Vector3::new(0.0, 0.0, -0.5),
-            still,
-            plain(look, dice, Pattern::Checks(0.24)),
-        ),
-        part(
-            Shape::Sphere { radius: ball },
-            place(0.0, 0.5, floor + ball),
-            spin,
-            special(look, dice, Pattern::Spots(0.5)),
-        ),
-        part(
-            Shape::Torus { major, minor },
-            place(1.0, 0.52, ring_up),
-            lean,
-            special(look, dice, Pattern::Bands(0.2)),
-        ),
-        part(
-            Shape::Box { half: block },
-            place(2.0, 0.52, floor + block.z),
-            upright,
-            plain(look, dice, Pattern::Checks(0.13)),
-        ),
+        part(Shape::Box { half: plate }, middle, still, plain_plate),
+        part(Shape::Sphere { radius: ball }, ball_at, spin, special_ball),
+        part(Shape::Torus { major, minor }, ring_at, lean, special_ring),
+        part(Shape::Box { half: block }, block_at, upright, plain_block),
     ]
 }
 
 fn environment(capture: Capture, dice: &mut Dice) -> (Environment, Vec<LightSource>) {
     let grey = Colour::repeat;
-    match capture {
-        Capture::Olat => (Environment::default(), Vec::new()),
+    let (shades, patches, lights) = match capture {
+        Capture::Olat => return Default::default(),
         Capture::Object => {
-            let sun = direction(dice.between(0.0, 2.0 * PI), dice.between(0.7, 1.1));
-            let shades = [Colour::new(0.55, 0.62, 0.75), grey(0.45), grey(0.25)];
-            let light = LightSource::Sun {
-                toward: sun,
+            let sun = LightSource::Sun {
+                toward: direction(dice.between(0.0, 2.0 * PI), dice.between(0.7, 1.1)),
                 strength: Colour::new(1.7, 1.6, 1.4),
             };
             (
-                Environment {
-                    shades,
-                    patches: Vec::new(),
-                },
-                vec![light],
+                [Colour::new(0.55, 0.62, 0.75), grey(0.45), grey(0.25)],
+                Vec::new(),
+                vec![sun],
             )
         }
         Capture::Reflective => {
             let patches = (0..7).map(|i| {
                 let toward = direction(f64::from(i) * 2.4 + dice.between(-0.3, 0.3), dice.between(-0.2, 1.2));
-                (
-                    toward,
-                    // Lamps and windows: far brighter than their surroundings, so that their reflection in a clear coat
-                    // is visible.
-                    dice.between(40.0, 200.0),
-                    (dice.colour() + grey(0.3)) * dice.between(4.0, 12.0),
-                )
+                // Lamps and windows: far brighter than their surroundings, so that their reflection in a clear coat is
+                // visible.
+                let sharpness = dice.between(40.0, 200.0);
+                (toward, sharpness, (dice.colour() + grey(0.3)) * dice.between(4.0, 12.0))
             });
             let shades = [Colour::new(0.5, 0.55, 0.65), Colour::new(0.5, 0.42, 0.35), grey(0.15)];
-            let patches = patches.collect();
-            (Environment { shades, patches }, Vec::new())
+            (shades, patches.collect(), Vec::new())
         }
-    }
+    };
+    (Environment { shades, patches }, lights)
 }
 
 /// Object of a request and its static light.
@@ -244,22 +218,23 @@ pub(crate) fn stage(request: &ObjectRequest) -> Stage {
 pub(crate) fn shots(request: &ObjectRequest) -> Shots {
     let mut dice = Dice(Pcg32::seed_from_u64(request.seed ^ 0x5eed));
     let phase = dice.between(0.0, 2.0 * PI);
-    let eyes = |count: usize, phase: f64| -> Vec<Vector3<f64>> {
+    let eyes = |count: usize, phase: f64| {
         let places = dome(count, phase, 0.08, 0.95).into_iter();
-        places
-            .map(|(azimuth, elevation)| direction(azimuth, elevation) * EYE_DISTANCE)
-            .collect()
+        places.map(|(azimuth, elevation)| direction(azimuth, elevation) * EYE_DISTANCE)
     };
     let (training, testing) = (request.training(), request.testing());
-    let still =
-        |eyes: Vec<Vector3<f64>>| -> Vec<Shot> { eyes.into_iter().map(|eye| Shot { eye, light: None }).collect() };
     if request.capture != Capture::Olat {
+        let still = |eye| Shot { eye, light: None };
         return Shots {
-            train: still(eyes(training, phase)),
-            near: still(eyes(testing, phase + 1.0)),
+            train: eyes(training, phase).map(still).collect(),
+            near: eyes(testing, phase + 1.0).map(still).collect(),
             far: Vec::new(),
         };
     }
+    let shot = |eye, light| Shot {
+        eye,
+        light: Some(light),
+    };
     // Lights of training keep out of a sector of azimuths; lights far from them are in its middle half.
     let dark = dice.between(0.0, 2.0 * PI);
     let lit = |share: f64| dark + DARK_SECTOR + share * (2.0 * PI - 2.0 * DARK_SECTOR);
@@ -273,39 +248,21 @@ pub(crate) fn shots(request: &ObjectRequest) -> Shots {
         lights.swap(i, other.min(i));
     }
     let far_count = testing / 2;
-    let near = eyes(testing - far_count, phase + 1.0).into_iter().map(|eye| {
+    let near = eyes(testing - far_count, phase + 1.0).map(|eye| {
         let light = lights[(dice.between(0.0, 1.0) * training as f64) as usize % training];
-        let aside = Vector3::new(
-            dice.between(-1.0, 1.0),
-            dice.between(-1.0, 1.0),
-            dice.between(-1.0, 1.0),
-        );
+        let aside = Vector3::from([0; 3].map(|_| dice.between(-1.0, 1.0)));
         let moved = light.normalize() + aside.cross(&light).normalize() * NEAR;
-        Shot {
-            eye,
-            light: Some(moved.normalize() * LIGHT_DISTANCE),
-        }
+        shot(eye, moved.normalize() * LIGHT_DISTANCE)
     });
     let near = near.collect();
-    let far = eyes(far_count, phase + 2.0).into_iter().map(|eye| {
-        let (azimuth, elevation) = (
-            dark + 0.5 * DARK_SECTOR * dice.between(-1.0, 1.0),
-            dice.between(0.35, 0.8),
-        );
-        Shot {
-            eye,
-            light: Some(direction(azimuth, elevation) * LIGHT_DISTANCE),
-        }
+    let far = eyes(far_count, phase + 2.0).map(|eye| {
+        let azimuth = dark + 0.5 * DARK_SECTOR * dice.between(-1.0, 1.0);
+        shot(eye, direction(azimuth, dice.between(0.35, 0.8)) * LIGHT_DISTANCE)
     });
     let far = far.collect();
-    let train = eyes(training, phase).into_iter().zip(&lights);
+    let train = eyes(training, phase).zip(&lights);
     Shots {
-        train: train
-            .map(|(eye, &light)| Shot {
-                eye,
-                light: Some(light),
-            })
-            .collect(),
+        train: train.map(|(eye, &light)| shot(eye, light)).collect(),
         near,
         far,
     }

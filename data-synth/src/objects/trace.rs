@@ -3,7 +3,7 @@
 
 use super::material::{Colour, PartMaterial, SurfacePoint, across};
 use super::sampler::PathSampler;
-use super::shape::Solid;
+use super::shape::{Intersection, Solid};
 use crate::ray::Ray;
 use nalgebra::{Vector2, Vector3};
 use std::f64::consts::PI;
@@ -34,13 +34,16 @@ pub(crate) enum LightSource {
     Point { position: Vector3<f64>, strength: Colour },
 }
 
+/// Unit direction, sharpness (concentration of von Mises and Fisher) and peak radiance of a bright patch.
+pub(crate) type Patch = (Vector3<f64>, f64, Colour);
+
 /// Light from infinitely far: a smooth environment map and bright patches on it.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Environment {
     /// Radiance straight up, at the horizon and straight down.
     pub(crate) shades: [Colour; 3],
-    /// Unit direction, sharpness (concentration of von Mises and Fisher) and peak radiance of each patch.
-    pub(crate) patches: Vec<(Vector3<f64>, f64, Colour)>,
+    /// The patches.
+    pub(crate) patches: Vec<Patch>,
 }
 
 impl Environment {
@@ -53,15 +56,13 @@ impl Environment {
 
     /// Light of the patches from a unit direction.
     fn glow(&self, from: &Vector3<f64>) -> Colour {
-        let glow = |(toward, sharpness, peak): &(Vector3<f64>, f64, Colour)| {
-            *peak * (sharpness * (toward.dot(from) - 1.0)).exp()
-        };
+        let glow = |(toward, sharpness, peak): &Patch| *peak * (sharpness * (toward.dot(from) - 1.0)).exp();
         self.patches.iter().map(glow).sum()
     }
 
     /// Sampling probability of each patch, by its power.
     fn shares(&self) -> impl Iterator<Item = f64> {
-        let power = |(_, sharpness, peak): &(Vector3<f64>, f64, Colour)| peak.sum() / sharpness;
+        let power = |(_, sharpness, peak): &Patch| peak.sum() / sharpness;
         let all: f64 = self.patches.iter().map(power).sum();
         self.patches.iter().map(move |patch| power(patch) / all)
     }
@@ -69,7 +70,7 @@ impl Environment {
     /// Probability per solid angle with which [`Self::toward_patch`] gives a unit direction (von Mises and Fisher's
     /// density).
     fn density(&self, from: &Vector3<f64>) -> f64 {
-        let density = |((toward, sharpness, _), share): (&(Vector3<f64>, f64, Colour), f64)| {
+        let density = |((toward, sharpness, _), share): (&Patch, f64)| {
             let peak = sharpness / (2.0 * PI * -(-2.0 * sharpness).exp_m1());
             share * peak * (sharpness * (toward.dot(from) - 1.0)).exp()
         };
@@ -128,16 +129,16 @@ pub(crate) struct PathSample {
 
 impl Stage {
     fn first_hit(&self, ray: &Ray) -> Option<(Vector3<f64>, SurfacePoint, usize)> {
-        let mut nearest: Option<(f64, Vector3<f64>, SurfacePoint, usize)> = None;
+        let mut nearest: Option<(usize, Intersection)> = None;
         for (number, part) in self.parts.iter().enumerate() {
-            let limit = nearest.as_ref().map_or(f64::INFINITY, |n| n.0);
-            if let Some(hit) = part.solid.intersect(ray, limit) {
-                let own_up = part.solid.own_from_world.row(2).transpose();
-                let surface = part.material.at(&hit.own, hit.normal, own_up);
-                nearest = Some((hit.distance, ray.at(hit.distance), surface, number));
-            }
+            let limit = nearest.as_ref().map_or(f64::INFINITY, |(_, hit)| hit.distance);
+            let nearer = part.solid.intersect(ray, limit).map(|hit| (number, hit));
+            nearest = nearer.or(nearest);
         }
-        nearest.map(|(_, point, surface, number)| (point, surface, number))
+        let (number, hit) = nearest?;
+        let Part { solid, material } = &self.parts[number];
+        let own_up = solid.own_from_world.row(2).transpose();
+        Some((ray.at(hit.distance), material.at(&hit.own, hit.normal, own_up), number))
     }
 
     fn blocked(&self, ray: &Ray, limit: f64) -> bool {
@@ -185,10 +186,10 @@ impl Stage {
             return Colour::zeros();
         }
         let density = self.environment.density(&toward) + surface.density(&toward, to_eye);
-        surface
+        let reflected = surface
             .reflect(&toward, to_eye)
-            .component_mul(&self.environment.glow(&toward))
-            * (cosine / density.max(1e-12))
+            .component_mul(&self.environment.glow(&toward));
+        reflected * (cosine / density.max(1e-12))
     }
 
     /// A random walk through the medium of a part, from the surface inward until it leaves. By reciprocity, light that
@@ -209,11 +210,8 @@ impl Stage {
         for _ in 0..LONGEST_WALK {
             let distance = -(1.0 - sampler.any()).ln() / medium.extinction;
             if let Some(hit) = part.solid.intersect(&ray, distance) {
-                let normal = if hit.normal.dot(&ray.direction) < 0.0 {
-                    -hit.normal
-                } else {
-                    hit.normal
-                };
+                let from_outside = hit.normal.dot(&ray.direction) < 0.0;
+                let normal = if from_outside { -hit.normal } else { hit.normal };
                 return Some(WalkExit {
                     point: ray.at(hit.distance),
                     normal,
@@ -226,10 +224,8 @@ impl Stage {
             }
             let (up, azimuth) = (2.0 * sampler.any() - 1.0, 2.0 * PI * sampler.any());
             let sine = (1.0 - up * up).sqrt();
-            ray = Ray::new(
-                ray.at(distance),
-                Vector3::new(sine * azimuth.cos(), sine * azimuth.sin(), up),
-            );
+            let direction = Vector3::new(sine * azimuth.cos(), sine * azimuth.sin(), up);
+            ray = Ray::new(ray.at(distance), direction);
         }
         None
     }
