@@ -90,11 +90,9 @@ impl Lobe {
         let (u, turn) = (unit(hash2(draw, 0x610)), TAU * unit(hash2(draw, 0x611)));
         let cosine = ((1.0 - u) / (1.0 + (self.alpha * self.alpha - 1.0) * u)).sqrt();
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-        let across = if self.normal.z.abs() < 0.9 {
-            self.normal.cross(&Vector3::z()).normalize()
-        } else {
-            self.normal.cross(&Vector3::x()).normalize()
-        };
+        let level = self.normal.z.abs() >= 0.9;
+        let other = if level { Vector3::x() } else { Vector3::z() };
+        let across = self.normal.cross(&other).normalize();
         let half = self.normal * cosine + (across * turn.cos() + self.normal.cross(&across) * turn.sin()) * sine;
         let (eye, eye_half) = (self.normal.dot(to_eye), half.dot(to_eye));
         let to_light = half * (2.0 * eye_half) - to_eye;

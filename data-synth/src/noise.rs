@@ -58,12 +58,8 @@ pub(crate) fn cell_noise(seed: u32, x: f64, y: f64) -> f64 {
 pub(crate) fn fractal(seed: u32, x: f64, y: f64, wavelength: f64, octaves: u32) -> f64 {
     let (mut sum, mut strength, mut scale) = (0.0, 1.0, 1.0 / wavelength);
     for octave in 0..octaves {
-        sum += strength
-            * noise(
-                seed.wrapping_add(octave.wrapping_mul(0x9E37_79B1)),
-                x * scale,
-                y * scale,
-            );
+        let seed = seed.wrapping_add(octave.wrapping_mul(0x9E37_79B1));
+        sum += strength * noise(seed, x * scale, y * scale);
         strength *= 0.5;
         scale *= 2.03;
     }

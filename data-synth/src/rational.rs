@@ -37,10 +37,8 @@ impl RationalSensor {
         let nodes_along = |pixels: usize| (pixels as f64 / NODE_PX).ceil() as usize + 4;
         let (columns, rows) = (nodes_along(crop.width), nodes_along(crop.height));
         let place = |node: usize, up_m: f64| {
-            let point = ImagePoint::new(
-                corner[0] + NODE_PX * (node % columns) as f64,
-                corner[1] + NODE_PX * (node / columns) as f64,
-            );
+            let (col, row) = ((node % columns) as f64, (node / columns) as f64);
+            let point = ImagePoint::new(corner[0] + NODE_PX * col, corner[1] + NODE_PX * row);
             let ground = rpc.localise(point, frame.origin.height_m + up_m)?;
             Ok(frame.enu_from_geo(ground))
         };

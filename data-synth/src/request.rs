@@ -21,11 +21,6 @@ pub enum Delivery {
 }
 
 impl Delivery {
-    /// True if each image is one file.
-    pub(crate) fn is_whole(&self) -> bool {
-        *self == Self::Whole
-    }
-
     /// Bands of the file that bears the image's name, or of the panchromatic file of a bundle.
     pub(crate) fn main_bands(self, bands: BandSet) -> BandSet {
         match self {
@@ -51,43 +46,34 @@ pub enum Site {
 }
 
 impl Site {
+    /// Lower-case name, side of the square with truth in metres, and default numbers of views and of dates.
+    fn numbers(self) -> (&'static str, f64, usize, usize) {
+        match self {
+            Site::Tiny => ("tiny", 48.0, 8, 5),
+            Site::Block => ("block", 128.0, 12, 7),
+            Site::City => ("city", 256.0, 16, 9),
+            Site::District => ("district", 1000.0, 8, 6),
+        }
+    }
+
     /// Side of the square for which there is truth, metres.
     pub fn extent_m(self) -> f64 {
-        match self {
-            Site::Tiny => 48.0,
-            Site::Block => 128.0,
-            Site::City => 256.0,
-            Site::District => 1000.0,
-        }
+        self.numbers().1
     }
 
     /// Default number of views.
     pub fn default_views(self) -> usize {
-        match self {
-            Site::Tiny | Site::District => 8,
-            Site::Block => 12,
-            Site::City => 16,
-        }
+        self.numbers().2
     }
 
     /// Default number of acquisition dates.
     pub fn default_dates(self) -> usize {
-        match self {
-            Site::Tiny => 5,
-            Site::District => 6,
-            Site::Block => 7,
-            Site::City => 9,
-        }
+        self.numbers().3
     }
 
     /// Lower-case name, the stem of the image names.
     pub fn name(self) -> &'static str {
-        match self {
-            Site::Tiny => "tiny",
-            Site::Block => "block",
-            Site::City => "city",
-            Site::District => "district",
-        }
+        self.numbers().0
     }
 
     /// Altitudes below and above the site's centre that images are made to cover, metres.
@@ -182,7 +168,7 @@ pub struct SatelliteRequest {
     /// Width and height of the file of every image, 16 to 100,000 pixels; the image lies at an offset, and the rest is
     /// missing (0) and takes no space. The sensor's scene is at least as wide, so that the RPC holds over the whole
     /// file. If absent, a file is as large as its image, and the manifest does not name it.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "is_default")]
     pub canvas_px: Option<usize>,
     /// Bands of the images.
     pub bands: BandSet,
@@ -195,32 +181,29 @@ pub struct SatelliteRequest {
     /// Sensor noise relative to a good sensor's, 0 to 100 (1 = signal-to-noise about 100 at middle grey, 0 = none).
     pub noise: f64,
     /// Number of training images that have clouds in view. Absent from the manifest if 0.
-    #[serde(skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_default")]
     pub clouds: usize,
     /// Faults of real images. Absent from the manifest if none.
-    #[serde(skip_serializing_if = "Faults::is_empty")]
+    #[serde(skip_serializing_if = "is_default")]
     pub faults: Faults,
     /// Cover of one half of the site, or a little more. Absent from the manifest if there is none.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "is_default")]
     pub cover: Option<Cover>,
     /// Packing of images. Absent from the manifest if each is one file.
-    #[serde(skip_serializing_if = "Delivery::is_whole")]
+    #[serde(skip_serializing_if = "is_default")]
     pub delivery: Delivery,
     /// Number of additional suns, 0 to 100, under which the site is rendered from straight above as truth. Absent from
     /// the manifest if 0.
-    #[serde(skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_default")]
     pub relight: usize,
     /// Share of the buildings that are built or torn down between two dates, 0 to 1. Absent from the manifest if none.
-    #[serde(skip_serializing_if = "is_none")]
+    #[serde(skip_serializing_if = "is_default")]
     pub change: f64,
 }
 
-fn is_none(share: &f64) -> bool {
-    *share == 0.0
-}
-
-fn is_zero(count: &usize) -> bool {
-    *count == 0
+/// True for the value that the manifest leaves out.
+pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 impl Default for SatelliteRequest {
@@ -283,11 +266,8 @@ impl SatelliteRequest {
     /// Number of images with clouds among `training` training images: `clouds`, or, if that is 0, a quarter with
     /// [`Fault::LargeClouds`].
     pub fn cloudy_images(&self, training: usize) -> usize {
-        if self.clouds == 0 && self.has(Fault::LargeClouds) {
-            training.div_ceil(4)
-        } else {
-            self.clouds
-        }
+        let some = self.clouds == 0 && self.has(Fault::LargeClouds);
+        if some { training.div_ceil(4) } else { self.clouds }
     }
 
     /// Number of `views` held out for testing: none below 4 views, one below 8, else two.
@@ -314,41 +294,32 @@ impl SatelliteRequest {
         if self.dates == Some(0) {
             return bad("0 dates; ask for at least 1".into());
         }
-        if self.has(Fault::Stretch) && !self.delivery.is_whole() {
-            return bad(
-                "a stretch for display and a delivery of pan and multispectral; display images come whole".into(),
-            );
+        if self.has(Fault::Stretch) && self.delivery != Delivery::Whole {
+            let both = "a stretch for display and a delivery of pan and multispectral";
+            return bad(format!("{both}; display images come whole"));
         }
         if !(0.1..=4.0).contains(&self.gsd()) {
             return bad(format!("a sampling distance of {} m; ask for 0.1 to 4 m", self.gsd()));
         }
-        if let Some(size) = self.size_px
-            && !(16..=8192).contains(&size)
-        {
+        if let Some(size) = self.size_px.filter(|size| !(16..=8192).contains(size)) {
             return bad(format!("images of {size} px; ask for 16 to 8192"));
         }
         if self.size_px.is_some_and(|size| size as f64 * self.gsd() > 2000.0) {
             return bad("images wider than 2 km; lower the size or the sampling distance".into());
         }
-        if let Some(canvas) = self.canvas_px
-            && !(16..=100_000).contains(&canvas)
-        {
+        if let Some(canvas) = self.canvas_px.filter(|canvas| !(16..=100_000).contains(canvas)) {
             return bad(format!("a canvas of {canvas} px; ask for 16 to 100000"));
         }
         if self.bits != 8 && self.bits != 16 {
             return bad(format!("{} bits per sample; ask for 8 or 16", self.bits));
         }
         if !(0.0..=100.0).contains(&self.pointing_bias_px) {
-            return bad(format!(
-                "a pointing bias of {} px; ask for 0 to 100",
-                self.pointing_bias_px
-            ));
+            let bias_px = self.pointing_bias_px;
+            return bad(format!("a pointing bias of {bias_px} px; ask for 0 to 100"));
         }
         if self.relight > MOST_SUNS {
-            return bad(format!(
-                "{} suns to relight under; ask for 0 to {MOST_SUNS}",
-                self.relight
-            ));
+            let suns = self.relight;
+            return bad(format!("{suns} suns to relight under; ask for 0 to {MOST_SUNS}"));
         }
         if !(0.0..=1.0).contains(&self.change) {
             return bad(format!("a share of {} that changes; ask for 0 to 1", self.change));

@@ -1,7 +1,7 @@
 //! Summary of a scene: the request, and the numbers of each image. It is written as the scene's manifest.
 
 use crate::faults::{Haze, Stretch};
-use crate::request::SatelliteRequest;
+use crate::request::{SatelliteRequest, is_default};
 use crate::truth_grid::TruthGrid;
 use heliosplat_rpc::GeoPoint;
 use serde::{Deserialize, Serialize};
@@ -21,10 +21,10 @@ pub struct Summary {
     /// Share of the truth's cells in each class, by name.
     pub class_share: BTreeMap<String, f64>,
     /// Share of the truth's cells under sea or snow; absent from the manifest if none.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub cover_share: f64,
     /// Share of the truth's cells that are glossy; absent from the manifest without glossy surfaces.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub glossy_share: f64,
     /// The images in order of time.
     pub images: Vec<ImageSummary>,
@@ -44,7 +44,7 @@ pub struct ImageSummary {
     /// Columns and rows, without the canvas.
     pub size_px: [usize; 2],
     /// Column and row of the canvas at which the image begins; absent from the manifest without a canvas.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub canvas_offset_px: Option<[usize; 2]>,
     /// Ground sampling distance, metres.
     pub gsd_m: f64,
@@ -66,20 +66,16 @@ pub struct ImageSummary {
     /// Share of the image in shadow, 0 to 1.
     pub shadow_share: f64,
     /// Share of the image behind clouds, 0 to 1; absent from the manifest if none.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub cloud_share: f64,
     /// Gain of each band of the file relative to the collection's mean; absent from the manifest if bands have no gains
     /// of their own.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub band_gains: Vec<f64>,
     /// Haze of the acquisition date; absent from the manifest if there is none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub haze: Option<Haze>,
     /// Stretch of linear counts to display values; absent from the manifest without one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub stretch: Option<Stretch>,
-}
-
-fn is_zero(share: &f64) -> bool {
-    *share == 0.0
 }

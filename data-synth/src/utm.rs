@@ -54,12 +54,7 @@ impl UtmZone {
         let conformal = series.conformal_tangent(tau);
         let xi = conformal.atan2(cos_l);
         let eta = (sin_l / conformal.hypot(cos_l)).asinh();
-        let (mut north, mut east) = (xi, eta);
-        for (k, alpha) in series.alpha.iter().enumerate() {
-            let m = 2.0 * (k + 1) as f64;
-            north += alpha * (m * xi).sin() * (m * eta).cosh();
-            east += alpha * (m * xi).cos() * (m * eta).sinh();
-        }
+        let [north, east] = corrected([xi, eta], series.alpha);
         let scale = SCALE * series.rectifying_radius_m;
         [FALSE_EASTING_M + scale * east, self.false_northing_m() + scale * north]
     }
@@ -70,17 +65,23 @@ impl UtmZone {
         let scale = SCALE * series.rectifying_radius_m;
         let xi = (northing_m - self.false_northing_m()) / scale;
         let eta = (easting_m - FALSE_EASTING_M) / scale;
-        let (mut xi_c, mut eta_c) = (xi, eta);
-        for (k, beta) in series.beta.iter().enumerate() {
-            let m = 2.0 * (k + 1) as f64;
-            xi_c -= beta * (m * xi).sin() * (m * eta).cosh();
-            eta_c -= beta * (m * xi).cos() * (m * eta).sinh();
-        }
-        let conformal = xi_c.sin() / eta_c.sinh().hypot(xi_c.cos());
+        let [xi, eta] = corrected([xi, eta], series.beta.map(|beta| -beta));
+        let conformal = xi.sin() / eta.sinh().hypot(xi.cos());
         let tau = series.tangent_from_conformal(conformal);
-        let lon_deg = self.central_meridian_deg() + eta_c.sinh().atan2(xi_c.cos()).to_degrees();
+        let lon_deg = self.central_meridian_deg() + eta.sinh().atan2(xi.cos()).to_degrees();
         [(lon_deg + 540.0).rem_euclid(360.0) - 180.0, tau.atan().to_degrees()]
     }
+}
+
+/// Northing and easting of the sphere plus the sum of a series (Karney eqs. 9 and 11), in units of the radius.
+fn corrected([xi, eta]: [f64; 2], coefficients: [f64; 6]) -> [f64; 2] {
+    let (mut north, mut east) = (xi, eta);
+    for (k, coefficient) in coefficients.into_iter().enumerate() {
+        let m = 2.0 * (k + 1) as f64;
+        north += coefficient * (m * xi).sin() * (m * eta).cosh();
+        east += coefficient * (m * xi).cos() * (m * eta).sinh();
+    }
+    [north, east]
 }
 
 struct Series {
