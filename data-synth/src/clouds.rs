@@ -94,7 +94,7 @@ pub(crate) struct Cloud {
 
 impl CloudField {
     /// Random layer whose clouds hide a share of the image within the limits of `size`.
-    pub(crate) fn over(sensor: &Sensor, crop: &Crop, size: CloudSize, seed: u64) -> Self {
+    pub(crate) fn over(sensor: &dyn Sensor, crop: &Crop, size: CloudSize, seed: u64) -> Self {
         let mut random = stream(seed, 0xC10D);
         let turn_rad: f64 = random.random_range(0.0..std::f64::consts::TAU);
         let mut field = Self {
@@ -166,20 +166,18 @@ impl CloudField {
 
     /// Intersections of the layer with lines of sight spread evenly over an image, each with a flag: true in the middle
     /// half of the width and height.
-    fn probes(&self, sensor: &Sensor, crop: &Crop) -> Vec<([f64; 2], bool)> {
+    fn probes(&self, sensor: &dyn Sensor, crop: &Crop) -> Vec<([f64; 2], bool)> {
         let share = |index: usize| (index as f64 + 0.5) / PROBES as f64;
         let inner = |index: usize| (0.25..0.75).contains(&share(index));
-        (0..PROBES)
-            .flat_map(|row| {
-                let line = sensor.at_line(crop.row0 + share(row) * crop.height as f64 - 0.5);
-                (0..PROBES)
-                    .map(|col| {
-                        let ray = line.ray(crop.col0 + share(col) * crop.width as f64 - 0.5);
-                        (self.crossing(&ray), inner(row) && inner(col))
-                    })
-                    .collect::<Vec<_>>()
-            })
-            .collect()
+        let mut probes = Vec::with_capacity(PROBES * PROBES);
+        for row in 0..PROBES {
+            let ray = sensor.rays_of_line(crop.row0 + share(row) * crop.height as f64 - 0.5);
+            probes.extend((0..PROBES).map(|col| {
+                let ray = ray(crop.col0 + share(col) * crop.width as f64 - 0.5);
+                (self.crossing(&ray), inner(row) && inner(col))
+            }));
+        }
+        probes
     }
 
     /// Distance of the hidden shares from their allowed ranges.
@@ -225,7 +223,6 @@ mod tests {
     use crate::encoding::{FULL_COUNT, MEAN_GAIN};
     use crate::materials::{Material, Season, grey};
     use crate::radiometry::{Illumination, LitScene, Weather};
-    use crate::raytrace::Tracer;
     use crate::sensor::{PushBroom, ViewGeometry};
     use crate::solid::Solids;
     use crate::terrain::HeightField;
@@ -233,7 +230,7 @@ mod tests {
     use heliosplat_rpc::{GeoPoint, LocalFrame};
     use nalgebra::Vector3;
 
-    fn sensor(off_nadir_deg: f64) -> Sensor {
+    fn sensor(off_nadir_deg: f64) -> PushBroom {
         let frame = LocalFrame::new(GeoPoint::new(4.8, 45.7, 225.0));
         let view = ViewGeometry {
             azimuth_rad: 1.1,
@@ -244,7 +241,7 @@ mod tests {
             full_px: 2400.0,
             seed: 5,
         };
-        Sensor::PushBroom(Box::new(PushBroom::new(&frame, &view, [1200.0, 1200.0])))
+        PushBroom::new(&frame, &view, [1200.0, 1200.0])
     }
 
     fn crop(size: usize) -> Crop {
@@ -257,11 +254,11 @@ mod tests {
     }
 
     /// Share of an image's pixels hidden by clouds, from every second pixel.
-    fn share(field: &CloudField, sensor: &Sensor, crop: &Crop) -> f64 {
+    fn share(field: &CloudField, sensor: &dyn Sensor, crop: &Crop) -> f64 {
         let side = crop.width / 2;
         let hidden = (0..side * side).filter(|index| {
-            let line = sensor.at_line(crop.row0 + (2 * (index / side)) as f64);
-            field.opacity_along(&line.ray(crop.col0 + (2 * (index % side)) as f64)) >= HIDING
+            let ray = sensor.rays_of_line(crop.row0 + (2 * (index / side)) as f64);
+            field.opacity_along(&ray(crop.col0 + (2 * (index % side)) as f64)) >= HIDING
         });
         hidden.count() as f64 / (side * side) as f64
     }
@@ -289,9 +286,9 @@ mod tests {
                 let field = CloudField::over(&sensor, &crop, CloudSize::LARGE, seed);
                 let (mut hidden, mut veiled, mut all) = (0, 0, 0);
                 for row in (0..size).step_by(4) {
-                    let line = sensor.at_line(crop.row0 + row as f64);
+                    let ray = sensor.rays_of_line(crop.row0 + row as f64);
                     for col in (0..size).step_by(4) {
-                        let cloud = field.seen_along(&line.ray(crop.col0 + col as f64));
+                        let cloud = field.seen_along(&ray(crop.col0 + col as f64));
                         assert!(cloud.opacity >= cloud.hides && cloud.opacity - cloud.hides <= 0.351);
                         hidden += usize::from(cloud.hides >= HIDING);
                         veiled += usize::from(cloud.hides == 0.0 && cloud.opacity > 0.02);
@@ -332,14 +329,10 @@ mod tests {
     #[test]
     fn a_cloud_hides_what_is_under_it_and_throws_its_shadow_elsewhere() {
         let terrain = HeightField::sample(400.0, 4.0, |_, _| 0.0);
-        let tracer = Tracer::new(&terrain, Solids::default().primitives);
         let ground = GroundCover::plain(Material::Plain(grey(0.1)));
-        let scene = LitScene {
-            tracer: &tracer,
-            surfaces: &[],
-            ground: &ground,
-        };
+        let scene = LitScene::new(&terrain, Solids::default(), &ground);
         let weather = Weather {
+            season: Season::REFERENCE,
             aerosol: 0.1,
             exposure: 1.0,
             water_slope_variance: 0.02,
@@ -347,9 +340,10 @@ mod tests {
             seed: 3,
         };
         let sun = SunPosition::from_degrees(130.0, 40.0);
-        let clear = Illumination::new(&sun, weather, Season::REFERENCE, 0.2);
+        let clear = Illumination::new(&sun, weather, 0.2);
         let field = CloudField::over(&sensor(10.0), &crop(300), CloudSize::SMALL, 3);
-        let cloudy = clear.through(Some(field));
+        let mut cloudy = clear;
+        cloudy.clouds = Some(field);
         let sight = Vector3::new(-0.15, 0.1, -1.0).normalize();
         let (mut hidden, mut shaded, mut untouched) = (0, 0, 0);
         for index in 0..160 * 160 {

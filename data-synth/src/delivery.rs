@@ -2,14 +2,10 @@
 //! pixels four times as wide, each with its own camera.
 
 use crate::crop::Canvas;
-use crate::error::SynthError;
 use crate::noise::hash2;
 use crate::plan::ViewPlan;
 use crate::render::{Exposure, Image};
-use crate::request::{BandSet, SatelliteRequest};
-use crate::write::Staging;
-use crate::write::geotiff::{Raster, Samples, write};
-use crate::write::metadata::image_items;
+use crate::request::BandSet;
 use heliosplat_rpc::Rpc;
 
 /// Panchromatic pixels along the side of a multispectral one.
@@ -34,35 +30,25 @@ pub(crate) fn panchromatic_exposure<'a>(exposure: &Exposure<'a>) -> Exposure<'a>
     }
 }
 
-/// Writes the multispectral file of a view from its image `fine` in full resolution, the camera of that image, and the
-/// canvas of the image, if any.
-///
-/// # Errors
-/// `SynthError::Failed` when the file cannot be written.
-pub(crate) fn write_multispectral(
-    staging: &Staging,
-    request: &SatelliteRequest,
-    view: &ViewPlan,
-    (fine_rpc, fine_canvas): (&Rpc, Option<Canvas>),
+/// The multispectral image that goes with `fine` in full resolution, without masks, and its camera and canvas from
+/// those of the fine one.
+pub(crate) fn multispectral(
     fine: &Image,
-) -> Result<(), SynthError> {
-    let names = request.bands.names();
-    let (width, height) = (fine.width.div_ceil(RATIO), fine.height.div_ceil(RATIO));
-    let counts = coarse_counts(&fine.counts, (fine.width, fine.height), names.len());
-    let mut bytes = Vec::new();
-    let samples = Samples::of_counts(&counts, request.bits, &mut bytes);
-    let raster = Raster {
-        width,
-        height,
-        samples,
-        bands: names,
-        items: &image_items(view, request, 0.0),
-        rpc: Some(heliosplat_rpc::write::geotiff_tag(&coarse_camera(fine_rpc))),
-        grid: None,
-        nodata: fine_canvas.map(|_| 0.0),
-        canvas: fine_canvas.map(|canvas| canvas.coarser(RATIO)),
+    bands: BandSet,
+    (fine_rpc, fine_canvas): (&Rpc, Option<Canvas>),
+) -> (Image, Rpc, Option<Canvas>) {
+    let coarse = Image {
+        width: fine.width.div_ceil(RATIO),
+        height: fine.height.div_ceil(RATIO),
+        counts: coarse_counts(&fine.counts, (fine.width, fine.height), bands.names().len()),
+        shadow: Vec::new(),
+        cloud: Vec::new(),
     };
-    write(&staging.path(&format!("{}-M1BS.tif", view.name))?, &raster)
+    (
+        coarse,
+        coarse_camera(fine_rpc),
+        fine_canvas.map(|canvas| canvas.coarser(RATIO)),
+    )
 }
 
 /// Counts of interleaved bands averaged to pixels [`RATIO`] times as wide, rounded. Pixels at the last column and row

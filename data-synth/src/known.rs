@@ -28,10 +28,11 @@ pub(crate) struct KnownCamera {
 /// [`SynthError::BadRequest`], naming the file and the image at fault.
 pub(crate) fn read(path: &Path) -> Result<Vec<KnownCamera>, SynthError> {
     let fault = |reason: String| {
-        let path = path.display();
-        SynthError::BadRequest(format!(
-            "{path}: {reason}; expected a JSON object of images, each with rpc, width, height and capTime"
-        ))
+        let (path, expected) = (
+            path.display(),
+            "a JSON object of images, each with rpc, width, height and capTime",
+        );
+        SynthError::BadRequest(format!("{path}: {reason}; expected {expected}"))
     };
     let size = std::fs::metadata(path).map_err(|error| fault(error.to_string()))?.len();
     if size > MOST_BYTES {
@@ -54,22 +55,13 @@ pub(crate) fn read(path: &Path) -> Result<Vec<KnownCamera>, SynthError> {
 }
 
 fn camera(image: &Value) -> Result<KnownCamera, String> {
-    let text = |key: &str| {
-        image
-            .get(key)
-            .and_then(Value::as_str)
-            .ok_or(format!("{key} is missing"))
-    };
     let number = |key: &str| {
-        let value = image
-            .get(key)
-            .and_then(Value::as_f64)
-            .filter(|v| (1.0..1e6).contains(v));
-        value.ok_or(format!("{key} is missing or is no size in pixels"))
+        let value = image.get(key).and_then(Value::as_f64);
+        let size = value.filter(|size| (1.0..1e6).contains(size));
+        size.ok_or(format!("{key} is missing or is no size in pixels"))
     };
-    let time = text("capTime")?
-        .parse()
-        .map_err(|error| format!("capTime is no time ({error})"))?;
+    let time = image.get("capTime").and_then(Value::as_str);
+    let time = (time.ok_or("capTime is missing")?.parse()).map_err(|error| format!("capTime is no time ({error})"))?;
     let rpc = heliosplat_rpc::read::satnerf_json(&image.to_string()).map_err(|error| error.to_string())?;
     let middle = ImagePoint::new(0.5 * (number("width")? - 1.0), 0.5 * (number("height")? - 1.0));
     let centre = rpc
@@ -79,13 +71,10 @@ fn camera(image: &Value) -> Result<KnownCamera, String> {
 }
 
 /// `count` of the cameras, evenly through time. `cameras` are in order of time.
-pub(crate) fn thinned(cameras: Vec<KnownCamera>, count: usize) -> Vec<KnownCamera> {
+pub(crate) fn thinned(cameras: &[KnownCamera], count: usize) -> Vec<KnownCamera> {
     let all = cameras.len();
-    let kept: Vec<usize> = (0..count).map(|k| (2 * k + 1) * all / (2 * count)).collect();
-    let numbered = cameras.into_iter().enumerate();
-    numbered
-        .filter(|(k, _)| kept.contains(k))
-        .map(|(_, camera)| camera)
+    (0..count)
+        .map(|k| cameras[(2 * k + 1) * all / (2 * count)].clone())
         .collect()
 }
 
@@ -179,8 +168,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let (path, _) = file(folder.path());
         let cameras = read(&path).expect("cameras");
-        assert_eq!(thinned(cameras.clone(), 3).len(), 3);
-        let one = thinned(cameras.clone(), 1);
+        assert_eq!(thinned(&cameras, 3).len(), 3);
+        let one = thinned(&cameras, 1);
         assert_eq!(one[0].time, cameras[1].time);
     }
 }

@@ -49,7 +49,7 @@
 //! | `crop`, `rational`, `sensor`, `known` | windows of images, cameras given as RPCs, the push-broom camera, cameras of real images |
 //! | `clouds`, `faults`, `gloss` | clouds, gains, haze and stretch, the lobe of glossy surfaces |
 //! | `radiometry` | sun, sky, interreflection, and the encoding of light in counts |
-//! | `plan`, `render`, `truth` | place, dates and views; images; truth rasters |
+//! | `plan`, `render`, `studio`, `truth` | place, dates and views; images; their light and exposure; truth rasters |
 //! | `nadir`, `relit` | the view from straight above; truth under additional suns, hours of sun |
 //! | `write`, `truth_files`, `delivery`, `satellite` | files; truth rasters; images in two files as vendors pack them; the steps in order |
 //! | `objects` | everything about captures of objects |
@@ -82,6 +82,7 @@ mod request;
 mod satellite;
 mod sensor;
 mod solid;
+mod studio;
 mod summary;
 mod terrain;
 mod truth;

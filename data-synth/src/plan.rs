@@ -45,9 +45,7 @@ const FULL_SCENE_LEAST_PX: f64 = 2400.0;
 pub(crate) struct DatePlan {
     /// Time of the first image of the date.
     pub(crate) time: Timestamp,
-    /// Season of the date, for vegetation.
-    pub(crate) season: Season,
-    /// Air, exposure and water of the date.
+    /// Season, air, exposure and water of the date.
     pub(crate) weather: Weather,
     /// Share of the bays that hold a car, 0 to 1.
     pub(crate) car_occupancy: f64,
@@ -76,6 +74,24 @@ pub(crate) struct ViewPlan {
     pub(crate) cloudy: bool,
     /// RPC of a real image, if the view has one.
     pub(crate) known: Option<Rpc>,
+}
+
+impl ViewPlan {
+    /// A training image of a place under a clear sky, without a name.
+    fn new(date: usize, time: Timestamp, place: GeoPoint, geometry: ViewGeometry) -> Self {
+        Self {
+            name: String::new(),
+            date,
+            time,
+            sun: sun_position(time, place),
+            geometry,
+            aim_px: [0.0; 2],
+            rpc_bias_px: [0.0; 2],
+            held_out: false,
+            cloudy: false,
+            known: None,
+        }
+    }
 }
 
 /// The whole collection.
@@ -130,11 +146,10 @@ impl Collection {
     fn through(request: &SatelliteRequest, cameras: Vec<KnownCamera>) -> Result<Self, SynthError> {
         let (all, wanted) = (cameras.len(), request.views.unwrap_or(cameras.len()));
         if wanted > all {
-            return Err(SynthError::BadRequest(format!(
-                "{wanted} views; the file has {all} cameras"
-            )));
+            let reason = format!("{wanted} views; the file has {all} cameras");
+            return Err(SynthError::BadRequest(reason));
         }
-        let cameras = known::thinned(cameras, wanted);
+        let cameras = known::thinned(&cameras, wanted);
         let origin = known::common_centre(&cameras);
         let frame = LocalFrame::new(origin);
         let mut random = stream(request.seed, 0xC0);
@@ -145,20 +160,13 @@ impl Collection {
                 dates.push(weather_of(&mut random, camera.time, origin.lat_deg));
             }
             let geometry = geometry_of(&camera.rpc, &frame).map_err(SynthError::camera(&format!("camera {index}")))?;
+            let geometry = ViewGeometry {
+                seed: hash2(request.seed, 0x5E0 + index as u64),
+                ..geometry
+            };
             views.push(ViewPlan {
-                name: String::new(),
-                date: dates.len() - 1,
-                time: camera.time,
-                sun: sun_position(camera.time, origin),
-                geometry: ViewGeometry {
-                    seed: hash2(request.seed, 0x5E0 + index as u64),
-                    ..geometry
-                },
-                aim_px: [0.0; 2],
-                rpc_bias_px: [0.0; 2],
-                held_out: false,
-                cloudy: false,
                 known: Some(camera.rpc),
+                ..ViewPlan::new(dates.len() - 1, camera.time, origin, geometry)
             });
         }
         finish(&mut views, request);
@@ -191,7 +199,7 @@ fn place(random: &mut Pcg64Mcg) -> GeoPoint {
 fn date_plan(random: &mut Pcg64Mcg, origin: GeoPoint, index: usize, count: usize) -> DatePlan {
     const DAYS: f64 = 730.0;
     const FIRST_JANUARY_2016: i64 = 1_451_606_400;
-    let mut best: Option<(f64, f64, Timestamp)> = None;
+    let mut best = (f64::NEG_INFINITY, 0.0, Timestamp::UNIX_EPOCH);
     for attempt in 0..60 {
         // The search widens beyond the share of the two years if its season has no high sun.
         let spread = (1.0 + 0.1 * f64::from(attempt)).min(count as f64);
@@ -201,15 +209,14 @@ fn date_plan(random: &mut Pcg64Mcg, origin: GeoPoint, index: usize, count: usize
         let seconds = day * 86_400.0 + (solar_hours - origin.lon_deg / 15.0) * 3600.0;
         let time = Timestamp::from_second(FIRST_JANUARY_2016 + seconds as i64).unwrap_or(Timestamp::UNIX_EPOCH);
         let elevation_deg = sun_position(time, origin).elevation_rad.to_degrees();
-        if best.is_none_or(|(highest_deg, ..)| elevation_deg > highest_deg) {
-            best = Some((elevation_deg, day, time));
+        if elevation_deg > best.0 {
+            best = (elevation_deg, day, time);
         }
         if elevation_deg > LOWEST_SUN_DEG {
-            best = Some((elevation_deg, day, time));
             break;
         }
     }
-    let (_, day, time) = best.unwrap_or((0.0, 0.0, Timestamp::UNIX_EPOCH));
+    let (_, day, time) = best;
     date_of(random, time, day, origin.lat_deg)
 }
 
@@ -217,8 +224,8 @@ fn date_plan(random: &mut Pcg64Mcg, origin: GeoPoint, index: usize, count: usize
 fn date_of(random: &mut Pcg64Mcg, time: Timestamp, day: f64, lat_deg: f64) -> DatePlan {
     DatePlan {
         time,
-        season: season(random, day, lat_deg),
         weather: Weather {
+            season: season(random, day, lat_deg),
             aerosol: random.random_range(0.03..0.16),
             exposure: random.random_range(0.86..1.14),
             water_slope_variance: random.random_range(0.008..0.03),
@@ -268,25 +275,18 @@ fn view_plans(
             let share = (order[index] as f64 + random.random_range(0.0..1.0)) / count as f64;
             let off_nadir_deg = OFF_NADIR_DEG[0] + share * (OFF_NADIR_DEG[1] - OFF_NADIR_DEG[0]);
             let coarser = 0.98 + 0.06 * (off_nadir_deg / 30.0).powi(2);
+            let geometry = ViewGeometry {
+                azimuth_rad: azimuth_deg.rem_euclid(360.0).to_radians(),
+                off_nadir_rad: off_nadir_deg.to_radians(),
+                orbit_m: random.random_range(500e3..770e3),
+                tilt_rad: random.random_range(-0.14..0.14),
+                gsd_m: request.gsd() * coarser,
+                full_px,
+                seed: hash2(request.seed, 0x5E0 + index as u64),
+            };
             ViewPlan {
-                name: String::new(),
-                date,
-                time,
-                sun: sun_position(time, origin),
-                geometry: ViewGeometry {
-                    azimuth_rad: azimuth_deg.rem_euclid(360.0).to_radians(),
-                    off_nadir_rad: off_nadir_deg.to_radians(),
-                    orbit_m: random.random_range(500e3..770e3),
-                    tilt_rad: random.random_range(-0.14..0.14),
-                    gsd_m: request.gsd() * coarser,
-                    full_px,
-                    seed: hash2(request.seed, 0x5E0 + index as u64),
-                },
                 aim_px: [0, 1].map(|_| full_px * random.random_range(0.3..0.7)),
-                rpc_bias_px: [0.0; 2],
-                held_out: false,
-                cloudy: false,
-                known: None,
+                ..ViewPlan::new(date, time, origin, geometry)
             }
         })
         .collect();
@@ -372,12 +372,10 @@ fn hold_out(views: &mut [ViewPlan], count: usize) {
 fn cloud_over(views: &mut [ViewPlan], request: &SatelliteRequest) -> Result<(), SynthError> {
     let mut training: Vec<&mut ViewPlan> = views.iter_mut().filter(|view| !view.held_out).collect();
     let cloudy = request.cloudy_images(training.len());
-    if cloudy > training.len() {
-        return Err(SynthError::BadRequest(format!(
-            "clouds in {} images; ask for 0 to {}, the images to train with",
-            request.clouds,
-            training.len()
-        )));
+    let (asked, most) = (request.clouds, training.len());
+    if cloudy > most {
+        let reason = format!("clouds in {asked} images; ask for 0 to {most}, the images to train with");
+        return Err(SynthError::BadRequest(reason));
     }
     training.shuffle(&mut stream(request.seed, 0xC10D));
     for view in training.into_iter().take(cloudy) {

@@ -10,6 +10,7 @@
 //! On request (`Fault`): haze over the scene, a lobe of glossy surfaces, and instead of `E_around` the light reflected
 //! by visible surfaces, for one bounce: their own `albedo (E_sun cos(i) V + E_sky or E_around)`.
 
+use crate::city::GroundCover;
 use crate::clouds::CloudField;
 use crate::cover::{SeaSurface, Waves};
 use crate::faults::Haze;
@@ -18,14 +19,14 @@ use crate::materials::{Class, Season, Spectrum};
 use crate::noise::{hash2, noise, unit};
 use crate::ray::Ray;
 use crate::raytrace::{GROUND, Hit, Tracer};
-use crate::request::{Fault, Faults};
-use crate::solid::Face;
+use crate::solid::{Face, Solids};
+use crate::terrain::HeightField;
 use heliosplat_rpc::sun::SunPosition;
 use nalgebra::Vector3;
 use std::f64::consts::PI;
 
 /// Offset of the start of shadow and sky rays from their surface, metres.
-const SURFACE_BIAS_M: f64 = 1e-4;
+pub(crate) const SURFACE_BIAS_M: f64 = 1e-4;
 /// Sky beyond this distance counts as open, metres.
 const SKY_REACH_M: f64 = 80.0;
 /// Clear air's optical depth in red, green, blue and near infrared (Rayleigh and ozone, sea level).
@@ -43,9 +44,11 @@ const BOUNCE_STRATA: u64 = 2;
 /// Albedo of an average neighbourhood, half of which lies in shadow.
 const AROUND: [f64; 4] = [0.15, 0.14, 0.12, 0.24];
 
-/// The air, the exposure and the water of one date.
+/// The season, the air, the exposure and the water of one date.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Weather {
+    /// Season, for vegetation.
+    pub(crate) season: Season,
     /// Aerosol optical depth in red.
     pub(crate) aerosol: f64,
     /// Gain of the date relative to the mean of the collection.
@@ -72,33 +75,33 @@ pub(crate) struct Illumination {
     transmittance: Spectrum,
     /// Radiance of the air between ground and satellite.
     haze: Spectrum,
-    season: Season,
     weather: Weather,
-    clouds: Option<CloudField>,
+    /// The clouds, if there are any.
+    pub(crate) clouds: Option<CloudField>,
     /// True if surfaces receive light that others reflect.
-    bounce: bool,
+    pub(crate) bounce: bool,
     /// True if glossy surfaces are rendered with their gloss.
-    glossy: bool,
+    pub(crate) glossy: bool,
     /// The waves of the sea, where there is one.
-    waves: Option<Waves>,
+    pub(crate) waves: Option<Waves>,
 }
 
 /// Scene that rays meet: solids, their surfaces, and ground cover.
 pub(crate) struct LitScene<'a> {
     /// Geometry of terrain and solids.
-    pub(crate) tracer: &'a Tracer<'a>,
+    pub(crate) tracer: Tracer<'a>,
     /// Surfaces of the solids, indexed by the surface of a hit.
-    pub(crate) surfaces: &'a [Face],
+    surfaces: Vec<Face>,
     /// Cover of the terrain.
-    pub(crate) ground: &'a crate::city::GroundCover,
+    pub(crate) ground: &'a GroundCover,
 }
 
 impl<'a> LitScene<'a> {
-    /// Scene of a tracer, its surfaces and its ground cover.
-    pub(crate) fn of(tracer: &'a Tracer<'a>, surfaces: &'a [Face], ground: &'a crate::city::GroundCover) -> Self {
+    /// Scene of solids on a terrain and its cover.
+    pub(crate) fn new(terrain: &'a HeightField, solids: Solids, ground: &'a GroundCover) -> Self {
         Self {
-            tracer,
-            surfaces,
+            tracer: Tracer::new(terrain, solids.primitives),
+            surfaces: solids.surfaces,
             ground,
         }
     }
@@ -119,8 +122,9 @@ pub(crate) struct SensorSample {
 }
 
 impl Illumination {
-    /// Light of a date under a sun, for a view at an angle from the zenith, radians.
-    pub(crate) fn new(sun: &SunPosition, weather: Weather, season: Season, view_zenith_rad: f64) -> Self {
+    /// Light of a date under a clear sky, for a view at an angle from the zenith, radians, of a scene without sea in
+    /// which surfaces are matte and light each other only on average.
+    pub(crate) fn new(sun: &SunPosition, weather: Weather, view_zenith_rad: f64) -> Self {
         let height = sun.elevation_rad.sin();
         let depth = Spectrum::from_fn(|band, _| CLEAR_AIR[band] + weather.aerosol * AEROSOL[band]);
         let beam = depth.map(|d| (-d / height).exp());
@@ -134,27 +138,12 @@ impl Illumination {
             // Most scattered light goes on forwards: the loss is about half the depth.
             transmittance: depth.map(|d| (-0.5 * d / view_zenith_rad.cos()).exp()),
             haze: depth * (HAZE_PER_DEPTH / view_zenith_rad.cos().sqrt()),
-            season,
             weather,
             clouds: None,
             bounce: false,
             glossy: false,
             waves: None,
         }
-    }
-
-    /// Adds interreflection and gloss if they are among the faults.
-    pub(crate) fn among(self, faults: &Faults) -> Self {
-        Self {
-            bounce: faults.contains(&Fault::Interreflection),
-            glossy: faults.contains(&Fault::Glossy),
-            ..self
-        }
-    }
-
-    /// Adds the waves of a sea.
-    pub(crate) fn on_sea(self, waves: Option<Waves>) -> Self {
-        Self { waves, ..self }
     }
 
     /// Adds a layer of haze, for a view at an angle from the zenith, radians; formulas are those of `Haze`.
@@ -177,11 +166,6 @@ impl Illumination {
             transmittance: self.transmittance.component_mul(&transmittance),
             ..self
         }
-    }
-
-    /// Adds clouds.
-    pub(crate) fn through(self, clouds: Option<CloudField>) -> Self {
-        Self { clouds, ..self }
     }
 
     /// Radiance and labels of a ray of the sensor. `draw` is a random word, different for each ray.
@@ -214,7 +198,7 @@ impl Illumination {
                 sea: false,
             };
         };
-        let (class, mut albedo) = scene.albedo(&hit, &self.season);
+        let (class, mut albedo) = scene.albedo(&hit, &self.weather.season);
         let sea = hit.surface == GROUND && scene.ground.is_sea(hit.point.x, hit.point.y);
         let waves = match self.waves {
             Some(waves) if sea => Some(waves.at(hit.point.x, hit.point.y)),
@@ -269,10 +253,7 @@ impl Illumination {
     fn ambient(&self, scene: &LitScene, start: Vector3<f64>, normal: Vector3<f64>, draw: u64) -> Spectrum {
         if !self.bounce {
             let (u, turn) = (unit(draw), 2.0 * PI * unit(hash2(draw, 0x5C)));
-            return match cosine_weighted(&normal, u, turn) {
-                Some(direction) => self.sky_or_around(scene, start, direction),
-                None => self.around,
-            };
+            return self.sky_or_around(scene, start, cosine_weighted(&normal, u, turn));
         }
         let mut sum = Spectrum::zeros();
         for stratum in 0..BOUNCE_STRATA * BOUNCE_STRATA {
@@ -287,31 +268,33 @@ impl Illumination {
         sum / (BOUNCE_STRATA * BOUNCE_STRATA) as f64
     }
 
-    /// Irradiance of an open sky if a direction is open, else of the average neighbourhood.
-    fn sky_or_around(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>) -> Spectrum {
-        let ray = Ray::new(start, direction);
-        let open = direction.z >= 0.01 && !scene.tracer.occluded(&ray, SKY_REACH_M);
-        if open { self.sky } else { self.around }
+    /// Irradiance of an open sky if there is a direction and it is open, else of the average neighbourhood.
+    fn sky_or_around(&self, scene: &LitScene, start: Vector3<f64>, direction: Option<Vector3<f64>>) -> Spectrum {
+        let is_open = |direction: Vector3<f64>| {
+            direction.z >= 0.01 && !scene.tracer.occluded(&Ray::new(start, direction), SKY_REACH_M)
+        };
+        if direction.is_some_and(is_open) {
+            self.sky
+        } else {
+            self.around
+        }
     }
 
     /// Irradiance if the whole hemisphere looked like one direction: [`Illumination::sky_or_around`], or with
     /// interreflection the light of the surface in that direction.
     fn arriving(&self, scene: &LitScene, start: Vector3<f64>, direction: Vector3<f64>, draw: u64) -> Spectrum {
         if !self.bounce {
-            return self.sky_or_around(scene, start, direction);
+            return self.sky_or_around(scene, start, Some(direction));
         }
         let ray = Ray::new(start, direction);
         let Some(hit) = scene.tracer.trace(&ray) else {
             return if direction.z > 0.0 { self.sky } else { self.around };
         };
-        let (_, albedo) = scene.albedo(&hit, &self.season);
+        let (_, albedo) = scene.albedo(&hit, &self.weather.season);
         let start = hit.point + hit.normal * SURFACE_BIAS_M;
         let facing = hit.normal.dot(&self.to_sun);
         let (u, turn) = (unit(hash2(draw, 0xB0D0)), 2.0 * PI * unit(hash2(draw, 0xB0D1)));
-        let ambient = match cosine_weighted(&hit.normal, u, turn) {
-            Some(direction) => self.sky_or_around(scene, start, direction),
-            None => self.around,
-        };
+        let ambient = self.sky_or_around(scene, start, cosine_weighted(&hit.normal, u, turn));
         let beam = self.beam(scene, start, facing);
         albedo.component_mul(&(ambient + self.sun * (facing.max(0.0) * beam)))
     }
@@ -408,26 +391,20 @@ impl LitScene<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::city::GroundCover;
     use crate::encoding::{Encoding, MEAN_GAIN};
     use crate::materials::Material;
-    use crate::solid::{Finish, Footprint, Solids};
-    use crate::terrain::HeightField;
+    use crate::solid::{Finish, Footprint};
 
     fn light(elevation_deg: f64, aerosol: f64) -> Illumination {
         let weather = Weather {
+            season: Season::REFERENCE,
             aerosol,
             exposure: 1.0,
             water_slope_variance: 0.02,
             water_turbidity: 1.0,
             seed: 1,
         };
-        Illumination::new(
-            &SunPosition::from_degrees(140.0, elevation_deg),
-            weather,
-            Season::REFERENCE,
-            0.3,
-        )
+        Illumination::new(&SunPosition::from_degrees(140.0, elevation_deg), weather, 0.3)
     }
 
     #[test]
@@ -463,22 +440,19 @@ mod tests {
             half: [1.0, 140.0],
         };
         solids.block(&wall, -1.0, 10.0, finish, finish);
-        let tracer = Tracer::new(&terrain, solids.primitives);
         let ground = GroundCover::plain(Material::Plain(crate::materials::grey(0.2)));
-        look(&LitScene {
-            tracer: &tracer,
-            surfaces: &solids.surfaces,
-            ground: &ground,
-        });
+        look(&LitScene::new(&terrain, solids, &ground));
     }
 
     #[test]
     fn ground_beside_a_sunlit_wall_gets_the_light_that_its_share_of_the_view_sends() {
         // The wall faces west, and so does the sun.
         let sun = SunPosition::from_degrees(270.0, 35.0);
-        let faults = Faults::from([Fault::Interreflection]);
         let weather = light(35.0, 0.1).weather;
-        let light = Illumination::new(&sun, weather, Season::REFERENCE, 0.3).among(&faults);
+        let light = Illumination {
+            bounce: true,
+            ..Illumination::new(&sun, weather, 0.3)
+        };
         let (distance_m, height_m) = (4.0, 10.0f64);
         let wall = Material::Plain(Spectrum::repeat(0.6));
         beside_a_wall(distance_m, wall, |scene| {
@@ -495,7 +469,7 @@ mod tests {
                 let error = (got[band] - expected[band]).abs() / expected[band];
                 assert!(error < 0.03, "band {band}: {} {}", got[band], expected[band]);
             }
-            let without = Illumination::new(&sun, weather, Season::REFERENCE, 0.3);
+            let without = Illumination::new(&sun, weather, 0.3);
             let dimmer = light.sky * (1.0 - share) + without.around * share;
             assert!(got.x > 1.2 * dimmer.x, "more than from an average neighbourhood");
         });
@@ -503,8 +477,10 @@ mod tests {
 
     #[test]
     fn metal_looks_brighter_towards_the_sun_s_mirror_image_and_lambertian_ground_does_not() {
-        let faults = Faults::from([Fault::Glossy]);
-        let light = light(55.0, 0.1).among(&faults);
+        let light = Illumination {
+            glossy: true,
+            ..light(55.0, 0.1)
+        };
         beside_a_wall(2.0, Material::Metal(crate::materials::grey(0.4)), |scene| {
             let seen = |point: Vector3<f64>, direction: Vector3<f64>| {
                 let ray = Ray::new(point - direction * 40.0, direction);

@@ -216,11 +216,8 @@ impl<'a> Tracer<'a> {
         let mut blocked = false;
         self.walk(ray, reach_m, |cell, t_in, t_out| {
             let within = |t: &f64| *t > SELF_HIT_M && *t < reach_m;
-            blocked = self
-                .terrain
-                .intersect_cell(cell, ray, t_in, t_out)
-                .filter(within)
-                .is_some()
+            let ground = self.terrain.intersect_cell(cell, ray, t_in, t_out);
+            blocked = ground.filter(within).is_some()
                 || (self.members_of(cell).iter()).any(|&member| self.intersect(member, ray).filter(within).is_some());
             blocked
         });
@@ -252,14 +249,10 @@ impl<'a> Tracer<'a> {
                 }
             },
         };
-        let facing = if normal.dot(&ray.direction) > 0.0 {
-            -normal
-        } else {
-            normal
-        };
+        let from_behind = normal.dot(&ray.direction) > 0.0;
         Hit {
             point,
-            normal: facing,
+            normal: if from_behind { -normal } else { normal },
             surface,
         }
     }
@@ -321,19 +314,13 @@ impl Axis {
         let position = (ray.origin[axis] + direction * t + terrain.half_extent_m) / size;
         let cell = (position.floor() as i64).clamp(0, terrain.cells as i64 - 1);
         let step = if direction > 0.0 { 1 } else { -1 };
-        if direction == 0.0 {
-            return Self {
-                cell,
-                step,
-                t_next: f64::INFINITY,
-                t_step: f64::INFINITY,
-            };
-        }
         let wall = (cell + i64::from(direction > 0.0)) as f64 * size - terrain.half_extent_m;
+        let crossing = ((wall - ray.origin[axis]) / direction).max(t);
         Self {
             cell,
             step,
-            t_next: ((wall - ray.origin[axis]) / direction).max(t),
+            // A ray along the walls crosses none.
+            t_next: if direction == 0.0 { f64::INFINITY } else { crossing },
             t_step: size / direction.abs(),
         }
     }

@@ -3,27 +3,22 @@
 //! Air, season and gain are those of the image with the highest sun, the reference for relit images; only the sun
 //! moves. There are no cars, clouds or noise, and counts are linear even where the images are for display.
 
-use crate::cover::Waves;
 use crate::encoding::Encoding;
-use crate::faults::Haze;
-use crate::materials::Season;
 use crate::nadir::NadirSensor;
 use crate::noise::{hash2, stream};
 use crate::plan::Collection;
-use crate::radiometry::{Illumination, LitScene, Weather};
+use crate::radiometry::{LitScene, SURFACE_BIAS_M};
 use crate::ray::Ray;
 use crate::render::{Exposure, Image, render};
-use crate::request::{Cover, SatelliteRequest};
-use crate::sensor::Sensor;
+use crate::request::SatelliteRequest;
+use crate::studio::Studio;
 use crate::truth::look_down;
-use crate::truth_grid::TruthGrid;
+use heliosplat_rpc::GeoPoint;
 use heliosplat_rpc::sun::{SunPosition, sun_position};
-use heliosplat_rpc::{GeoPoint, LocalFrame};
 use jiff::Timestamp;
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand::seq::SliceRandom;
-use rayon::prelude::*;
 
 /// Lowest and highest sun, degrees.
 const ELEVATIONS_DEG: [f64; 2] = [10.0, 70.0];
@@ -37,22 +32,6 @@ const DRAWS: usize = 40;
 pub(crate) const DAY: &str = "2016-03-20";
 /// Time between two suns of that day, seconds.
 const STEP_S: i64 = 360;
-/// Offset of the start of shadow rays from their surface, metres.
-const SURFACE_BIAS_M: f64 = 1e-4;
-
-/// Common data of all relit images of a scene.
-pub(crate) struct Studio {
-    /// Weather of the image with the highest sun.
-    pub(crate) weather: Weather,
-    /// Season of the image with the highest sun.
-    pub(crate) season: Season,
-    /// Layer of haze of the image with the highest sun, if haze is requested.
-    pub(crate) haze: Option<Haze>,
-    /// Counts per unit of radiance.
-    pub(crate) gain: f64,
-    /// Gain of each of the renderer's bands relative to `gain`.
-    pub(crate) band_gains: [f64; 4],
-}
 
 /// Azimuth and elevation of the `request.relight` suns, degrees: elevations evenly from lowest to highest, azimuths
 /// over the sunny half of the sky, in random order, away from the suns of the images.
@@ -71,20 +50,15 @@ pub(crate) fn suns_deg(request: &SatelliteRequest, collection: &Collection) -> V
             let share = (slot as f64 + random.random_range(0.0..1.0)) / count as f64;
             sun[0] = (meridian_deg + ASIDE_DEG * (2.0 * share - 1.0)).rem_euclid(360.0);
             let direction = SunPosition::from_degrees(sun[0], sun[1]).direction_enu();
-            if taken
-                .iter()
-                .all(|other| direction.dot(other) < APART_DEG.to_radians().cos())
-            {
+            let apart = |other: &Vector3<f64>| direction.dot(other) < APART_DEG.to_radians().cos();
+            if taken.iter().all(apart) {
                 break;
             }
         }
         sun
     };
-    elevations_deg
-        .into_iter()
-        .zip(slots)
-        .map(|(elevation_deg, slot)| draw(elevation_deg, slot))
-        .collect()
+    let drawn = elevations_deg.into_iter().zip(slots);
+    drawn.map(|(elevation_deg, slot)| draw(elevation_deg, slot)).collect()
 }
 
 /// The elevation of sun `index` of `count`, before they are shuffled, degrees; a single one is in the middle.
@@ -109,49 +83,33 @@ pub(crate) fn relit(
 ) -> Image {
     let sun = SunPosition::from_degrees(azimuth_deg, elevation_deg);
     let seed = hash2(request.seed, 0x5E12);
-    let waves = request
-        .has_sea()
-        .then(|| Waves::of_image(seed, studio.weather.water_slope_variance));
-    let light = Illumination::new(&sun, studio.weather, studio.season, 0.0)
-        .under_haze(studio.haze.as_ref(), 0.0)
-        .among(&request.faults)
-        .on_sea(waves);
+    let light = studio.light(request, &sun, 0.0, seed);
     let exposure = Exposure {
-        sensor: &Sensor::Nadir(sensor.clone()),
-        crop: sensor.crop(),
-        light: &light,
-        bands: request.bands,
         encoding: Encoding {
-            gain: studio.gain,
             noise: 0.0,
             bits: 16,
+            ..studio.encoding
         },
-        band_gains: studio.band_gains,
-        sea_is_missing: request.cover == Some(Cover::Nodata),
-        seed,
+        ..studio.exposure(request, (sensor, sensor.crop()), &light, seed)
     };
     render(scene, &exposure, rows_done)
 }
 
 /// Hours of direct sun on the highest surface at each cell's centre on [`DAY`], from one midnight of mean solar time to
 /// the next; NaN where there is no surface.
-pub(crate) fn sun_hours(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f32> {
-    let suns = suns_of_day(frame.origin);
+pub(crate) fn sun_hours(scene: &LitScene, nadir: &NadirSensor) -> Vec<f32> {
+    let suns = suns_of_day(nadir.frame.origin);
     let step_hours = STEP_S as f64 / 3600.0;
-    (0..grid.size * grid.size)
-        .into_par_iter()
-        .map(|cell| {
-            let at = [cell % grid.size, cell / grid.size].map(|index| index as f64 + 0.5);
-            let Some(hit) = look_down(scene, frame, grid, at) else {
-                return f32::NAN;
-            };
-            let origin = hit.point + hit.normal * SURFACE_BIAS_M;
-            let lit = suns.iter().filter(|&&direction| {
-                hit.normal.dot(&direction) > 0.0 && !scene.tracer.occluded(&Ray::new(origin, direction), f64::INFINITY)
-            });
-            (lit.count() as f64 * step_hours) as f32
-        })
-        .collect()
+    nadir.of_cells(|centre| {
+        let Some(hit) = look_down(scene, nadir, centre) else {
+            return f32::NAN;
+        };
+        let origin = hit.point + hit.normal * SURFACE_BIAS_M;
+        let lit = suns.iter().filter(|&&direction| {
+            hit.normal.dot(&direction) > 0.0 && !scene.tracer.occluded(&Ray::new(origin, direction), f64::INFINITY)
+        });
+        (lit.count() as f64 * step_hours) as f32
+    })
 }
 
 /// Directions to the sun in the middle of each step of [`DAY`] in which it is up.

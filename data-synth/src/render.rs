@@ -3,7 +3,7 @@
 use crate::clouds;
 use crate::crop::Crop;
 use crate::encoding::{Encoding, bands_of};
-use crate::noise::{hash2, normal};
+use crate::noise::{hash2, normal, unit};
 use crate::radiometry::{Illumination, LitScene, SensorSample};
 use crate::ray::Ray;
 use crate::raytrace::Tracer;
@@ -23,7 +23,7 @@ const ROWS_AT_ONCE: usize = 48;
 /// Settings of an image: camera, light and encoding.
 pub(crate) struct Exposure<'a> {
     /// Camera of the image.
-    pub(crate) sensor: &'a Sensor,
+    pub(crate) sensor: &'a dyn Sensor,
     /// Window of the image in the sensor's full scene.
     pub(crate) crop: Crop,
     /// Light of the scene and of the air.
@@ -54,15 +54,15 @@ pub(crate) struct Image {
     pub(crate) cloud: Vec<u8>,
 }
 
-/// One fine row, already blurred along the row and reduced to pixels.
-struct FineRow {
-    radiance: Vec<[f32; 4]>,
-    /// Lit samples of each pixel.
-    lit: Vec<u8>,
-    /// Sum of the cloud opacities of each pixel's samples.
-    clouded: Vec<f64>,
-    /// One flag for each pixel, true if any sample in its point spread sees the sea.
-    sea: Vec<bool>,
+/// The part of one fine row in a pixel, already blurred along the row.
+struct FinePixel {
+    radiance: [f32; 4],
+    /// Lit samples.
+    lit: u8,
+    /// Sum of the cloud opacities of the samples.
+    clouded: f64,
+    /// True if any sample in the point spread sees the sea.
+    sea: bool,
 }
 
 /// Renders an image; `rows_done` receives the number of rows of each finished batch.
@@ -80,20 +80,15 @@ pub(crate) fn render(scene: &LitScene, exposure: &Exposure, rows_done: &mut dyn 
     while row < height {
         let rows = ROWS_AT_ONCE.min(height - row);
         let first = (row * FINE) as i64 - REACH as i64;
-        let fine: Vec<FineRow> = (first..first + (rows * FINE + 2 * REACH) as i64)
+        let fine: Vec<Vec<FinePixel>> = (first..first + (rows * FINE + 2 * REACH) as i64)
             .into_par_iter()
             .map(|fine_row| fine_row_of(scene, exposure, &kernel, fine_row))
             .collect();
         for k in 0..rows {
             // A pixel's middle sample is one after its first.
             let middle = k * FINE + FINE / 2 + REACH;
-            finish_row(
-                exposure,
-                &kernel,
-                row + k,
-                &fine[middle - REACH..=middle + REACH],
-                &mut image,
-            );
+            let spread = &fine[middle - REACH..=middle + REACH];
+            finish_row(exposure, &kernel, row + k, spread, &mut image);
         }
         row += rows;
         rows_done(rows);
@@ -114,48 +109,37 @@ fn point_spread() -> [f32; 2 * REACH + 1] {
     std::array::from_fn(|k| (weight(k as i32 - REACH as i32) / total) as f32)
 }
 
-fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: i64) -> FineRow {
+fn fine_row_of(scene: &LitScene, exposure: &Exposure, kernel: &[f32], fine_row: i64) -> Vec<FinePixel> {
     let Crop { col0, row0, width, .. } = exposure.crop;
     let centre = (FINE / 2) as f64;
     let position = |fine: i64, jitter: f64| (fine as f64 - centre + jitter) / FINE as f64;
-    let line = exposure.sensor.at_line(row0 + position(fine_row, 0.0));
+    let ray_of = exposure.sensor.rays_of_line(row0 + position(fine_row, 0.0));
     let samples: Vec<SensorSample> = (-(REACH as i64)..(width * FINE + REACH) as i64)
         .map(|fine_col| {
             let draw = hash2(hash2(exposure.seed, fine_row as u64), fine_col as u64);
-            let jitter = crate::noise::unit(hash2(draw, 1)) - 0.5;
-            let ray = line.ray(col0 + position(fine_col, jitter));
-            exposure.light.sample(scene, &lowered(&ray, scene.tracer), draw)
+            let jitter = unit(hash2(draw, 1)) - 0.5;
+            let ray = lowered(&ray_of(col0 + position(fine_col, jitter)), &scene.tracer);
+            exposure.light.sample(scene, &ray, draw)
         })
         .collect();
-    let radiance = (0..width)
-        .map(|col| {
-            let first = col * FINE + FINE / 2;
-            let mut sum = [0f32; 4];
-            for (sample, weight) in samples[first..].iter().zip(kernel) {
-                let (bands, count) = bands_of(&sample.radiance, exposure.bands);
-                for band in 0..count {
-                    sum[band] += weight * bands[band];
-                }
+    let pixel = |col: usize| {
+        let spread = &samples[col * FINE + FINE / 2..][..kernel.len()];
+        let own = &samples[col * FINE + REACH..][..FINE];
+        let mut radiance = [0f32; 4];
+        for (sample, weight) in spread.iter().zip(kernel) {
+            let (bands, count) = bands_of(&sample.radiance, exposure.bands);
+            for band in 0..count {
+                radiance[band] += weight * bands[band];
             }
-            sum
-        })
-        .collect();
-    let own = |col: usize| samples[col * FINE + REACH..][..FINE].iter();
-    FineRow {
-        radiance,
-        lit: (0..width)
-            .map(|col| own(col).map(|sample| u8::from(sample.lit)).sum())
-            .collect(),
-        clouded: (0..width)
-            .map(|col| own(col).map(|sample| sample.clouded).sum())
-            .collect(),
-        sea: (0..width)
-            .map(|col| {
-                let first = col * FINE + FINE / 2;
-                samples[first..][..kernel.len()].iter().any(|sample| sample.sea)
-            })
-            .collect(),
-    }
+        }
+        FinePixel {
+            radiance,
+            lit: own.iter().map(|sample| u8::from(sample.lit)).sum(),
+            clouded: own.iter().map(|sample| sample.clouded).sum(),
+            sea: spread.iter().any(|sample| sample.sea),
+        }
+    };
+    (0..width).map(pixel).collect()
 }
 
 /// The ray with its start just above the scene: a start 600 km away would cost digits in every intersection.
@@ -164,32 +148,31 @@ pub(crate) fn lowered(ray: &Ray, tracer: &Tracer) -> Ray {
     Ray::new(ray.at(t), ray.direction)
 }
 
-fn finish_row(exposure: &Exposure, kernel: &[f32], row: usize, fine: &[FineRow], image: &mut Image) {
+fn finish_row(exposure: &Exposure, kernel: &[f32], row: usize, fine: &[Vec<FinePixel>], image: &mut Image) {
     let bands = exposure.bands.names().len();
     let own = &fine[REACH - FINE / 2..=REACH + FINE / 2];
     for col in 0..exposure.crop.width {
-        let missing = exposure.sea_is_missing && fine.iter().any(|line| line.sea[col]);
+        let missing = exposure.sea_is_missing && fine.iter().any(|line| line[col].sea);
         for band in 0..bands {
             if missing {
                 image.counts.push(0);
                 continue;
             }
-            let radiance: f32 = fine
+            let weighted = fine
                 .iter()
                 .zip(kernel)
-                .map(|(line, weight)| weight * line.radiance[col][band])
-                .sum();
+                .map(|(line, weight)| weight * line[col].radiance[band]);
+            let radiance: f32 = weighted.sum();
             let place = ((row * exposure.crop.width + col) * bands + band) as u64;
             let draw = normal(hash2(exposure.seed ^ 0x4015E, place));
             let radiance = exposure.band_gains[band] * f64::from(radiance);
             image.counts.push(exposure.encoding.count(radiance, draw));
         }
-        let lit: u32 = own.iter().map(|line| u32::from(line.lit[col])).sum();
+        let lit: u32 = own.iter().map(|line| u32::from(line[col].lit)).sum();
         image.shadow.push(u8::from(2 * lit < (FINE * FINE) as u32));
-        let clouded: f64 = own.iter().map(|line| line.clouded[col]).sum();
-        image
-            .cloud
-            .push(u8::from(clouded >= clouds::HIDING * (FINE * FINE) as f64));
+        let clouded: f64 = own.iter().map(|line| line[col].clouded).sum();
+        let hidden = clouded >= clouds::HIDING * (FINE * FINE) as f64;
+        image.cloud.push(u8::from(hidden));
     }
 }
 
@@ -202,7 +185,7 @@ mod tests {
     use crate::materials::{Class, Material, Season, grey};
     use crate::radiometry::Weather;
     use crate::sensor::{PushBroom, ViewGeometry};
-    use crate::solid::{Face, Finish, Footprint, Solids};
+    use crate::solid::{Finish, Footprint, Solids};
     use crate::terrain::HeightField;
     use heliosplat_rpc::sun::SunPosition;
     use heliosplat_rpc::{GeoPoint, LocalFrame};
@@ -248,23 +231,18 @@ mod tests {
         }
 
         fn shoot(&self, solids: Solids, bits: u8) -> Image {
-            let tracer = Tracer::new(&self.terrain, solids.primitives);
-            let surfaces: &[Face] = &solids.surfaces;
-            let scene = LitScene {
-                tracer: &tracer,
-                surfaces,
-                ground: &self.ground,
-            };
+            let scene = LitScene::new(&self.terrain, solids, &self.ground);
             let weather = Weather {
+                season: Season::REFERENCE,
                 aerosol: 0.1,
                 exposure: 1.0,
                 water_slope_variance: 0.02,
                 water_turbidity: 1.0,
                 seed: 3,
             };
-            let light = Illumination::new(&self.sun, weather, Season::REFERENCE, 0.3);
+            let light = Illumination::new(&self.sun, weather, 0.3);
             let exposure = Exposure {
-                sensor: &Sensor::PushBroom(Box::new(self.sensor.clone())),
+                sensor: &self.sensor,
                 crop: self.crop,
                 light: &light,
                 bands: BandSet::Pan,

@@ -2,47 +2,43 @@
 
 use crate::city::{City, CityPlan};
 use crate::clouds::{CloudField, CloudSize};
-use crate::cover::Waves;
 use crate::crop::{Canvas, Crop};
 use crate::delivery;
-use crate::encoding::{Encoding, MEAN_GAIN};
 use crate::error::SynthError;
-use crate::faults::{self, Haze};
+use crate::faults;
 use crate::materials::Class;
 use crate::nadir::NadirSensor;
-use crate::plan::{Collection, DatePlan, ViewPlan};
-use crate::radiometry::{Illumination, LitScene};
+use crate::plan::{Collection, ViewPlan};
+use crate::radiometry::LitScene;
 use crate::rational::{self, RationalSensor};
-use crate::raytrace::Tracer;
-use crate::relit::{self, Studio};
-use crate::render::{Exposure, Image, render};
-use crate::request::{Cover, Delivery, Fault, SatelliteRequest, Site};
+use crate::relit;
+use crate::render::{Image, render};
+use crate::request::{BandSet, Delivery, Fault, SatelliteRequest, Site};
 use crate::sensor::{PushBroom, Sensor};
 use crate::solid::Solids;
+use crate::studio::Studio;
 use crate::summary::{ImageSummary, Summary};
 use crate::truth::{Truth, altitudes, survey};
 use crate::truth_files::{SHADOW_MEANS, TruthFolder};
 use crate::truth_grid::TruthGrid;
 use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
-use crate::write::metadata::{image_items, loose_altitudes_m, satnerf_json};
+use crate::write::metadata::{borrowed, image_items, loose_altitudes_m, satnerf_json};
 use heliosplat_rpc::fit::RpcFit;
-use heliosplat_rpc::{GeoPoint, LocalFrame, Rpc};
+use heliosplat_rpc::{LocalFrame, Rpc};
 use jiff::tz::TimeZone;
 use nalgebra::Vector3;
-use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Pixels that every image shows beyond the site on all sides, at all its altitudes.
 const MARGIN_PX: f64 = 12.0;
 /// Margin of the city beyond the images, metres, so that shadows fall into the images.
 const SURROUNDINGS_M: f64 = 50.0;
-/// Gain of scenes with snow relative to other scenes, times the sine of the sun's elevation.
-const SNOWY_EXPOSURE: f64 = 1.25;
 
 /// One image's camera: the sensor, the window of the image, and the delivered RPC.
 struct ImageCamera {
-    sensor: Sensor,
+    sensor: Box<dyn Sensor>,
     crop: Crop,
     fit: RpcFit,
     /// Larger file that the image lies in, if requested.
@@ -69,28 +65,30 @@ pub fn write_satellite(
     request.check()?;
     let collection = Collection::new(request)?;
     let staging = Staging::new(out_dir)?;
-    let frame = LocalFrame::new(collection.origin);
-    let grid = TruthGrid::around(collection.origin, request.site.extent_m(), request.gsd());
+    let nadir = NadirSensor {
+        frame: LocalFrame::new(collection.origin),
+        grid: TruthGrid::around(collection.origin, request.site.extent_m(), request.gsd()),
+    };
     let cameras = (collection.views.iter())
-        .map(|view| camera(request, &frame, &grid, view))
+        .map(|view| camera(request, &nadir, view))
         .collect::<Result<Vec<_>, _>>()?;
     let mut city = City::new(request.seed, city_plan(request, &cameras));
     if request.change > 0.0 {
         city = city.changing(request.seed, request.change, &collection.dates_of_change()?);
     }
     let last = collection.dates.len().saturating_sub(1);
-    let truth = survey_city(request, &city, &frame, &grid, last);
+    let truth = survey_city(request, &city, &nadir, last);
     let folder = TruthFolder {
         staging: &staging,
-        grid: &grid,
+        request,
+        nadir: &nadir,
     };
-    folder.write(request, &truth)?;
+    folder.write(&truth)?;
     if request.change > 0.0 {
-        let before = survey_city(request, &city, &frame, &grid, 0);
-        folder.write_change([&before, &truth], &changed_at(&city, &collection, &frame, &grid))?;
+        let before = survey_city(request, &city, &nadir, 0);
+        folder.write_change([&before, &truth], &changed_at(&city, &collection, &nadir))?;
     }
-    let altitudes_m = loose_altitudes_m(truth.altitude_range_m(), request.seed);
-    let total = cameras.iter().map(|camera| camera.crop.height).sum::<usize>() + request.relight * grid.size;
+    let total = cameras.iter().map(|camera| camera.crop.height).sum::<usize>() + request.relight * nadir.grid.size;
     let mut done = 0;
     let mut rows_done = |rows| {
         done += rows;
@@ -100,29 +98,31 @@ pub fn write_satellite(
         staging: &staging,
         request,
         collection: &collection,
-        altitudes_m,
+        altitudes_m: loose_altitudes_m(truth.altitude_range_m(), request.seed),
     };
     let mut images: Vec<Option<ImageSummary>> = vec![None; cameras.len()];
     for (date, plan) in collection.dates.iter().enumerate() {
-        let solids = fitted(request, city.solids_with_cars(date, plan.car_occupancy));
-        let tracer = Tracer::new(&city.terrain, solids.primitives);
-        let scene = LitScene::of(&tracer, &solids.surfaces, &city.ground);
+        let scene = scene_of(request, &city, city.solids_with_cars(date, plan.car_occupancy));
         for index in (0..cameras.len()).filter(|&index| collection.views[index].date == date) {
             images[index] = Some(delivered.image(index, &cameras[index], &scene, &mut rows_done)?);
         }
     }
-    if request.relight > 0 {
-        let sensor = NadirSensor { frame, grid };
-        relight(&staging, request, &collection, (&city, &sensor), &mut rows_done)?;
+    if request.relight > 0
+        && let Some(index) = highest_sun(&collection)
+    {
+        let scene = scene_of(request, &city, city.solids(last));
+        let studio = Studio::new(request, &collection, index);
+        folder.write_relit(&scene, &studio, &relit::suns_deg(request, &collection), &mut rows_done)?;
     }
+    let glossy = request.has(Fault::Glossy);
     let summary = Summary {
         request: request.clone(),
         origin: collection.origin,
-        grid,
+        grid: nadir.grid,
         altitude_range_m: truth.altitude_range_m(),
         class_share: class_share(&truth),
-        cover_share: share_of(&truth.cover),
-        glossy_share: f64::from(u8::from(request.has(Fault::Glossy))) * share_of(&truth.glossy),
+        cover_share: share_of(&truth.cover, 1),
+        glossy_share: if glossy { share_of(&truth.glossy, 1) } else { 0.0 },
         images: images.into_iter().flatten().collect(),
     };
     write_lists(&staging, &summary)?;
@@ -149,114 +149,149 @@ impl Delivered<'_> {
         rows_done: &mut dyn FnMut(usize),
     ) -> Result<ImageSummary, SynthError> {
         let (request, view) = (self.request, &self.collection.views[index]);
-        let plan = &self.collection.dates[view.date];
-        let haze = request.has(Fault::Haze).then(|| Haze::of_date(request.seed, view.date));
-        let light = light_of(request, plan, view, camera, haze.as_ref());
-        let gains = (request.has(Fault::BandGains)).then(|| faults::band_gains(request.seed, index));
-        let exposure = Exposure {
-            sensor: &camera.sensor,
-            crop: camera.crop,
-            light: &light,
-            bands: request.bands,
-            encoding: encoding_of(request, plan, view),
-            band_gains: gains.unwrap_or([1.0; 4]),
-            sea_is_missing: request.cover == Some(Cover::Nodata),
-            seed: view.geometry.seed,
-        };
+        let studio = Studio::new(request, self.collection, index);
+        let seed = view.geometry.seed;
+        let large = request.has(Fault::LargeClouds);
+        let size = if large { CloudSize::LARGE } else { CloudSize::SMALL };
+        let clouds = (view.cloudy).then(|| CloudField::over(&*camera.sensor, &camera.crop, size, seed));
+        let mut light = studio.light(request, &view.sun, view.geometry.zenith_rad(), seed);
+        light.clouds = clouds;
+        let exposure = studio.exposure(request, (&*camera.sensor, camera.crop), &light, seed);
         let mut image = render(scene, &exposure, rows_done);
-        let stretch = (request.has(Fault::Stretch))
-            .then(|| faults::stretch(&mut image.counts, request.bands, view.geometry.seed));
+        let stretch = (request.has(Fault::Stretch)).then(|| faults::stretch(&mut image.counts, request.bands, seed));
         let (view, image) = match request.delivery {
             Delivery::Whole => (view.clone(), image),
             Delivery::PanMs => {
-                delivery::write_multispectral(self.staging, request, view, (&camera.rpc, camera.canvas), &image)?;
+                let (coarse, rpc, canvas) =
+                    delivery::multispectral(&image, request.bands, (&camera.rpc, camera.canvas));
+                self.write_counts(
+                    &format!("{}-M1BS", view.name),
+                    view,
+                    &coarse,
+                    request.bands,
+                    (&rpc, canvas),
+                )?;
                 let exposure = delivery::panchromatic_exposure(&exposure);
                 let pan = render(scene, &exposure, &mut |_| ());
                 (delivery::panchromatic_view(view), pan)
             }
         };
-        write_image(self.staging, request, &view, camera, &image, self.altitudes_m)?;
+        self.write_image(&view, camera, &image)?;
         Ok(ImageSummary {
-            band_gains: gains.map_or_else(Vec::new, |gains| gains[..request.bands.names().len()].to_vec()),
-            haze,
+            size_px: [image.width, image.height],
+            canvas_offset_px: camera.canvas.map(|canvas| [canvas.col, canvas.row]),
+            gsd_m: view.geometry.gsd_m,
+            sun_azimuth_deg: view.sun.azimuth_rad.to_degrees(),
+            sun_elevation_deg: view.sun.elevation_rad.to_degrees(),
+            satellite_azimuth_deg: view.geometry.azimuth_rad.to_degrees(),
+            off_nadir_deg: view.geometry.off_nadir_rad.to_degrees(),
+            rpc_rms_px: camera.fit.rms_px,
+            rpc_max_px: camera.fit.max_px,
+            pointing_bias_px: view.rpc_bias_px,
+            shadow_share: share_of(&image.shadow, 1),
+            cloud_share: share_of(&image.cloud, 1),
+            band_gains: studio
+                .band_gains
+                .map_or_else(Vec::new, |gains| gains[..request.bands.names().len()].to_vec()),
+            haze: studio.haze,
             stretch,
-            ..image_summary(&view, camera, &image)
+            name: view.name,
+            time: view.time,
+            date: view.date,
+            held_out: view.held_out,
         })
+    }
+
+    fn write_image(&self, view: &ViewPlan, camera: &ImageCamera, image: &Image) -> Result<(), SynthError> {
+        let (name, place) = (&view.name, (&camera.rpc, camera.canvas));
+        let bands = self.request.delivery.main_bands(self.request.bands);
+        self.write_counts(name, view, image, bands, place)?;
+        let write_mask = |kind: &str, mask: &[u8], about: &str| {
+            let raster = Raster {
+                samples: Samples::U8(mask),
+                bands: &[kind],
+                items: &[("DESCRIPTION", about)],
+                ..raster_of(image, place)
+            };
+            write(&self.staging.path(&format!("truth/{kind}_{name}.tif"))?, &raster)
+        };
+        write_mask("shadow", &image.shadow, SHADOW_MEANS)?;
+        if view.cloudy {
+            write_mask(
+                "cloud",
+                &image.cloud,
+                "1 where clouds hide a tenth of the pixel or more",
+            )?;
+        }
+        let json = satnerf_json(view, (&camera.crop, camera.canvas), &camera.rpc, self.altitudes_m)
+            .map_err(SynthError::camera(name))?;
+        self.staging.text(&format!("{name}.json"), &format!("{json:#}\n"))
+    }
+
+    /// Writes the counts of an image of a view to the file `name`, with the RPC and the canvas `place`.
+    fn write_counts(
+        &self,
+        name: &str,
+        view: &ViewPlan,
+        image: &Image,
+        bands: BandSet,
+        place: (&Rpc, Option<Canvas>),
+    ) -> Result<(), SynthError> {
+        let items = image_items(view, self.request, share_of(&image.cloud, 1));
+        let mut bytes = Vec::new();
+        let raster = Raster {
+            samples: Samples::of_counts(&image.counts, self.request.file_bits(), &mut bytes),
+            bands: bands.names(),
+            items: &borrowed(&items),
+            nodata: place.1.map(|_| 0.0),
+            ..raster_of(image, place)
+        };
+        write(&self.staging.path(&format!("{name}.tif"))?, &raster)
     }
 }
 
-/// Solids of the scene, with solar panels on some roofs if glossy surfaces are requested.
-fn fitted(request: &SatelliteRequest, mut solids: Solids) -> Solids {
+/// Raster of an image with an RPC and a canvas, yet without samples.
+fn raster_of<'a>(image: &Image, (rpc, canvas): (&Rpc, Option<Canvas>)) -> Raster<'a> {
+    Raster {
+        width: image.width,
+        height: image.height,
+        samples: Samples::U8(&[]),
+        bands: &[],
+        items: &[],
+        rpc: Some(heliosplat_rpc::write::geotiff_tag(rpc)),
+        grid: None,
+        nodata: None,
+        canvas,
+    }
+}
+
+/// Scene of solids of the city, with solar panels on some roofs if glossy surfaces are requested.
+fn scene_of<'a>(request: &SatelliteRequest, city: &'a City, mut solids: Solids) -> LitScene<'a> {
     if request.has(Fault::Glossy) {
         solids.lay_panels();
     }
-    solids
-}
-
-/// The light of an image, with the requested weather and faults.
-fn light_of(
-    request: &SatelliteRequest,
-    date: &DatePlan,
-    view: &ViewPlan,
-    camera: &ImageCamera,
-    haze: Option<&Haze>,
-) -> Illumination {
-    let size = if request.has(Fault::LargeClouds) {
-        CloudSize::LARGE
-    } else {
-        CloudSize::SMALL
-    };
-    let clouds = (view.cloudy).then(|| CloudField::over(&camera.sensor, &camera.crop, size, view.geometry.seed));
-    let waves = request
-        .has_sea()
-        .then(|| Waves::of_image(view.geometry.seed, date.weather.water_slope_variance));
-    let zenith_rad = view.geometry.zenith_rad();
-    Illumination::new(&view.sun, date.weather, date.season, zenith_rad)
-        .under_haze(haze, zenith_rad)
-        .among(&request.faults)
-        .on_sea(waves)
-        .through(clouds)
-}
-
-/// Conversion of an image's light to counts.
-fn encoding_of(request: &SatelliteRequest, date: &DatePlan, view: &ViewPlan) -> Encoding {
-    let mut gain = MEAN_GAIN * date.weather.exposure;
-    if request.cover == Some(Cover::Snow) {
-        // Exposed for bare land under the sun of the day, the snow clips.
-        gain *= SNOWY_EXPOSURE / view.sun.elevation_rad.sin();
-    }
-    Encoding {
-        gain,
-        noise: request.noise,
-        // Display images are stretched from linear counts.
-        bits: if request.has(Fault::Stretch) { 16 } else { request.bits },
-    }
+    LitScene::new(&city.terrain, solids, &city.ground)
 }
 
 /// The sensor of a view, the crop that covers the site at all altitudes, and the RPC a vendor would deliver with it.
-fn camera(
-    request: &SatelliteRequest,
-    frame: &LocalFrame,
-    grid: &TruthGrid,
-    view: &ViewPlan,
-) -> Result<ImageCamera, SynthError> {
-    let fault = SynthError::camera(&view.name);
-    let (sensor, crop, fit) = match &view.known {
+fn camera(request: &SatelliteRequest, nadir: &NadirSensor, view: &ViewPlan) -> Result<ImageCamera, SynthError> {
+    let (fault, frame) = (SynthError::camera(&view.name), &nadir.frame);
+    let (sensor, crop, fit): (Box<dyn Sensor>, _, _) = match &view.known {
         None => {
             let sensor = PushBroom::new(frame, &view.geometry, view.aim_px);
-            let crop = crop_of(request, frame, grid, &|point| sensor.project(point));
+            let crop = crop_of(request, nadir, |point| sensor.project(point));
             let fit = sensor.fit_rational_camera(frame).map_err(&fault)?;
-            (Sensor::PushBroom(Box::new(sensor)), crop, fit)
+            (Box::new(sensor), crop, fit)
         }
         Some(rpc) => {
-            let crop = crop_of(request, frame, grid, &|point| rational::project(rpc, frame, point));
+            let crop = crop_of(request, nadir, |point| rational::project(rpc, frame, point));
             let sensor = RationalSensor::new(rpc, frame, &crop).map_err(&fault)?;
             let fit = RpcFit {
                 rpc: rpc.clone(),
                 rms_px: 0.0,
                 max_px: 0.0,
             };
-            (Sensor::Rational(sensor), crop, fit)
+            (Box::new(sensor), crop, fit)
         }
     };
     let canvas = (request.canvas_px)
@@ -279,50 +314,35 @@ fn camera(
 fn canvas_of(crop: &Crop, full_scene: &Rpc, size: usize) -> Result<Canvas, SynthError> {
     let centre_px = [full_scene.sample_offset, full_scene.line_offset];
     Canvas::around(crop, centre_px, size).ok_or_else(|| {
-        SynthError::BadRequest(format!(
-            "a canvas of {size} px, but an image has {} x {} px",
-            crop.width, crop.height
-        ))
+        let [width, height] = [crop.width, crop.height];
+        SynthError::BadRequest(format!("a canvas of {size} px, but an image has {width} x {height} px"))
     })
 }
 
-fn crop_of(
-    request: &SatelliteRequest,
-    frame: &LocalFrame,
-    grid: &TruthGrid,
-    project: &dyn Fn(Vector3<f64>) -> [f64; 2],
-) -> Crop {
-    let side = grid.size as f64;
+/// The window that shows the site at all its altitudes in the image plane of `project`, or, with a requested size, its
+/// middle.
+fn crop_of(request: &SatelliteRequest, nadir: &NadirSensor, project: impl Fn(Vector3<f64>) -> [f64; 2]) -> Crop {
+    let side = nadir.grid.size as f64;
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    for [col, row] in [[0.0, 0.0], [side, 0.0], [0.0, side], [side, side]] {
+    for corner in [[0.0, 0.0], [side, 0.0], [0.0, side], [side, side]] {
         for altitude_m in request.site.covered_altitudes_m() {
-            let [lon_deg, lat_deg] = grid.lon_lat(col, row);
-            let height_m = frame.origin.height_m + altitude_m;
-            let pixel = project(frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, height_m)));
+            let pixel = project(nadir.point(corner, altitude_m));
             for k in 0..2 {
                 low[k] = low[k].min(pixel[k]);
                 high[k] = high[k].max(pixel[k]);
             }
         }
     }
-    let (first, [width, height]) = match request.size_px {
-        Some(size) => {
-            let first = [0, 1].map(|k| (0.5 * (low[k] + high[k]) - 0.5 * (size as f64 - 1.0)).round());
-            (first, [size; 2])
-        }
-        None => {
-            let (first, last) = (
-                low.map(|v| (v - MARGIN_PX).floor()),
-                high.map(|v| (v + MARGIN_PX).ceil()),
-            );
-            (first, [0, 1].map(|k| (last[k] - first[k]) as usize + 1))
-        }
-    };
+    let first = [0, 1].map(|k| match request.size_px {
+        Some(size) => (0.5 * (low[k] + high[k]) - 0.5 * (size as f64 - 1.0)).round(),
+        None => (low[k] - MARGIN_PX).floor(),
+    });
+    let length = |k: usize| ((high[k] + MARGIN_PX).ceil() - first[k]) as usize + 1;
     Crop {
         col0: first[0],
         row0: first[1],
-        width,
-        height,
+        width: request.size_px.unwrap_or_else(|| length(0)),
+        height: request.size_px.unwrap_or_else(|| length(1)),
     }
 }
 
@@ -332,7 +352,7 @@ fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
     let [lowest_m, _] = request.site.covered_altitudes_m();
     for ImageCamera { sensor, crop, .. } in cameras {
         for (col, row) in [(0, 0), (crop.width, 0), (0, crop.height), (crop.width, crop.height)] {
-            let ray = sensor.at_line(crop.row0 + row as f64).ray(crop.col0 + col as f64);
+            let ray = sensor.rays_of_line(crop.row0 + row as f64)(crop.col0 + col as f64);
             let ground = ray.at((lowest_m - ray.origin.z) / ray.direction.z);
             reach_m = reach_m.max(ground.x.abs()).max(ground.y.abs());
         }
@@ -346,116 +366,31 @@ fn city_plan(request: &SatelliteRequest, cameras: &[ImageCamera]) -> CityPlan {
 }
 
 /// Truth rasters of the city on a date.
-fn survey_city(request: &SatelliteRequest, city: &City, frame: &LocalFrame, grid: &TruthGrid, date: usize) -> Truth {
-    let solids = fitted(request, city.solids(date));
-    let tracer = Tracer::new(&city.terrain, solids.primitives);
-    let scene = LitScene::of(&tracer, &solids.surfaces, &city.ground);
-    let bare = Tracer::new(&city.terrain, Default::default());
-    let ground = LitScene { tracer: &bare, ..scene };
+fn survey_city(request: &SatelliteRequest, city: &City, nadir: &NadirSensor, date: usize) -> Truth {
+    let bare = LitScene::new(&city.terrain, Solids::default(), &city.ground);
     Truth {
-        ground_m: altitudes(&ground, frame, grid),
-        ..survey(&scene, frame, grid, request.bands)
+        ground_m: altitudes(&bare, nadir),
+        ..survey(&scene_of(request, city, city.solids(date)), nadir, request.bands)
     }
 }
 
 /// The day, as YYYYMMDD, of the first image that shows the new state of each cell of the grid; 0 where nothing is built
 /// or torn down.
-fn changed_at(city: &City, collection: &Collection, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f64> {
+fn changed_at(city: &City, collection: &Collection, nadir: &NadirSensor) -> Vec<f64> {
     let day = |date: usize| {
         let day = collection.dates[date].time.to_zoned(TimeZone::UTC).date();
         f64::from(i32::from(day.year()) * 10_000 + i32::from(day.month()) * 100 + i32::from(day.day()))
     };
-    let of_cell = |cell: usize| {
-        let [lon_deg, lat_deg] = grid.lon_lat((cell % grid.size) as f64 + 0.5, (cell / grid.size) as f64 + 0.5);
-        let height_m = frame.origin.height_m;
-        let at = frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, height_m));
+    nadir.of_cells(|centre| {
+        let at = nadir.point(centre, 0.0);
         city.changed_at(at.x, at.y).map_or(0.0, day)
-    };
-    (0..grid.size * grid.size).into_par_iter().map(of_cell).collect()
-}
-
-/// Setting of the truth under additional suns: that of the image with the highest sun.
-fn studio_of(request: &SatelliteRequest, collection: &Collection) -> Option<Studio> {
-    let height = |view: &ViewPlan| view.sun.elevation_rad;
-    let views = collection.views.iter().enumerate();
-    let (index, view) = views.max_by(|(_, a), (_, b)| height(a).total_cmp(&height(b)))?;
-    let date = &collection.dates[view.date];
-    let gains = (request.has(Fault::BandGains)).then(|| faults::band_gains(request.seed, index));
-    Some(Studio {
-        weather: date.weather,
-        season: date.season,
-        haze: (request.has(Fault::Haze)).then(|| Haze::of_date(request.seed, view.date)),
-        gain: encoding_of(request, date, view).gain,
-        band_gains: gains.unwrap_or([1.0; 4]),
     })
 }
 
-/// Writes the site under suns that no image has, without cars and clouds.
-fn relight(
-    staging: &Staging,
-    request: &SatelliteRequest,
-    collection: &Collection,
-    (city, sensor): (&City, &NadirSensor),
-    rows_done: &mut dyn FnMut(usize),
-) -> Result<(), SynthError> {
-    let Some(studio) = studio_of(request, collection) else {
-        return Ok(());
-    };
-    let solids = fitted(request, city.solids(collection.dates.len().saturating_sub(1)));
-    let tracer = Tracer::new(&city.terrain, solids.primitives);
-    let scene = LitScene::of(&tracer, &solids.surfaces, &city.ground);
-    let suns_deg = relit::suns_deg(request, collection);
-    let folder = TruthFolder {
-        staging,
-        grid: &sensor.grid,
-    };
-    folder.write_relit(request, (&scene, sensor), &studio, &suns_deg, rows_done)
-}
-
-fn write_image(
-    staging: &Staging,
-    request: &SatelliteRequest,
-    view: &ViewPlan,
-    camera: &ImageCamera,
-    image: &Image,
-    altitudes_m: [f64; 2],
-) -> Result<(), SynthError> {
-    let items = image_items(view, request, share_of(&image.cloud));
-    let mut bytes = Vec::new();
-    let samples = Samples::of_counts(&image.counts, request.file_bits(), &mut bytes);
-    let raster = Raster {
-        width: image.width,
-        height: image.height,
-        samples,
-        bands: request.delivery.main_bands(request.bands).names(),
-        items: &items,
-        rpc: Some(heliosplat_rpc::write::geotiff_tag(&camera.rpc)),
-        grid: None,
-        nodata: camera.canvas.map(|_| 0.0),
-        canvas: camera.canvas,
-    };
-    write(&staging.path(&format!("{}.tif", view.name))?, &raster)?;
-    let write_mask = |name: &'static str, mask: &[u8], what: &str| {
-        let raster = Raster {
-            samples: Samples::U8(mask),
-            bands: &[name],
-            items: &[("DESCRIPTION".to_string(), what.to_string())],
-            nodata: None,
-            ..raster.clone()
-        };
-        write(&staging.path(&format!("truth/{name}_{}.tif", view.name))?, &raster)
-    };
-    write_mask("shadow", &image.shadow, SHADOW_MEANS)?;
-    if view.cloudy {
-        write_mask(
-            "cloud",
-            &image.cloud,
-            "1 where clouds hide a tenth of the pixel or more",
-        )?;
-    }
-    let json = satnerf_json(view, (&camera.crop, camera.canvas), &camera.rpc, altitudes_m)
-        .map_err(SynthError::camera(&view.name))?;
-    staging.text(&format!("{}.json", view.name), &format!("{json:#}\n"))
+/// The image with the highest sun.
+fn highest_sun(collection: &Collection) -> Option<usize> {
+    let height = |index: usize| collection.views[index].sun.elevation_rad;
+    (0..collection.views.len()).max_by(|&a, &b| height(a).total_cmp(&height(b)))
 }
 
 fn write_lists(staging: &Staging, summary: &Summary) -> Result<(), SynthError> {
@@ -470,48 +405,27 @@ fn write_lists(staging: &Staging, summary: &Summary) -> Result<(), SynthError> {
     staging.text("truth/summary.json", &(text + "\n"))
 }
 
-fn image_summary(view: &ViewPlan, camera: &ImageCamera, image: &Image) -> ImageSummary {
-    ImageSummary {
-        name: view.name.clone(),
-        time: view.time,
-        date: view.date,
-        held_out: view.held_out,
-        size_px: [image.width, image.height],
-        canvas_offset_px: camera.canvas.map(|canvas| [canvas.col, canvas.row]),
-        gsd_m: view.geometry.gsd_m,
-        sun_azimuth_deg: view.sun.azimuth_rad.to_degrees(),
-        sun_elevation_deg: view.sun.elevation_rad.to_degrees(),
-        satellite_azimuth_deg: view.geometry.azimuth_rad.to_degrees(),
-        off_nadir_deg: view.geometry.off_nadir_rad.to_degrees(),
-        rpc_rms_px: camera.fit.rms_px,
-        rpc_max_px: camera.fit.max_px,
-        pointing_bias_px: view.rpc_bias_px,
-        shadow_share: share_of(&image.shadow),
-        cloud_share: share_of(&image.cloud),
-        band_gains: Vec::new(),
-        haze: None,
-        stretch: None,
-    }
+/// Share of a mask or of classes that has a value.
+fn share_of(values: &[u8], wanted: u8) -> f64 {
+    values.iter().filter(|&&value| value == wanted).count() as f64 / values.len().max(1) as f64
 }
 
-/// Share of a mask that is 1.
-fn share_of(mask: &[u8]) -> f64 {
-    mask.iter().filter(|&&value| value == 1).count() as f64 / mask.len().max(1) as f64
-}
-
-fn class_share(truth: &Truth) -> std::collections::BTreeMap<String, f64> {
-    let share = |class: Class| {
-        truth.class.iter().filter(|&&code| code == class as u8).count() as f64 / truth.class.len().max(1) as f64
-    };
-    let present = Class::NAMES
-        .iter()
-        .map(|&(class, name)| (name.to_string(), share(class)));
-    present.filter(|(_, share)| *share > 0.0).collect()
+fn class_share(truth: &Truth) -> BTreeMap<String, f64> {
+    let share = |&(class, name): &(Class, &str)| (name.to_string(), share_of(&truth.class, class as u8));
+    let shares = Class::NAMES.iter().map(share);
+    shares.filter(|(_, share)| *share > 0.0).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn nadir(collection: &Collection, extent_m: f64, cell_m: f64) -> NadirSensor {
+        NadirSensor {
+            frame: LocalFrame::new(collection.origin),
+            grid: TruthGrid::around(collection.origin, extent_m, cell_m),
+        }
+    }
 
     #[test]
     fn a_site_has_the_make_up_of_a_city() {
@@ -523,15 +437,14 @@ mod tests {
                 ..Default::default()
             };
             let collection = Collection::new(&request).expect("a plan");
-            let frame = LocalFrame::new(collection.origin);
-            let grid = TruthGrid::around(collection.origin, 128.0, 1.0);
+            let nadir = nadir(&collection, 128.0, 1.0);
             let plan = CityPlan {
                 half_extent_m: 100.0,
                 longest_block_m: 92.0,
                 town: false,
                 cover: None,
             };
-            let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid, 0);
+            let truth = survey_city(&request, &City::new(seed, plan), &nadir, 0);
             let [low_m, high_m] = truth.altitude_range_m();
             let share = class_share(&truth);
             println!("{seed}: {:.1} m {share:?}", high_m - low_m);
@@ -561,15 +474,14 @@ mod tests {
                     ..Default::default()
                 };
                 let collection = Collection::new(&request).expect("a plan");
-                let frame = LocalFrame::new(collection.origin);
-                let grid = TruthGrid::around(collection.origin, site.extent_m(), 4.0);
+                let nadir = nadir(&collection, site.extent_m(), 4.0);
                 let plan = CityPlan {
                     half_extent_m: 0.5 * site.extent_m() + 20.0,
                     longest_block_m: 70.0,
                     town: site == Site::District,
                     cover: None,
                 };
-                let truth = survey_city(&request, &City::new(seed, plan), &frame, &grid, 0);
+                let truth = survey_city(&request, &City::new(seed, plan), &nadir, 0);
                 let [low_m, high_m] = truth.altitude_range_m().map(|m| m - collection.origin.height_m);
                 let [lowest_m, highest_m] = site.covered_altitudes_m();
                 assert!(low_m > lowest_m && high_m < highest_m, "{seed}: {low_m} {high_m}");
@@ -586,16 +498,15 @@ mod tests {
             ..Default::default()
         };
         let collection = Collection::new(&request).expect("a plan");
-        let frame = LocalFrame::new(collection.origin);
         let extent_m = request.site.extent_m();
-        let grid = TruthGrid::around(collection.origin, extent_m, 4.0);
+        let nadir = nadir(&collection, extent_m, 4.0);
         let plan = CityPlan {
             half_extent_m: 0.5 * extent_m,
             longest_block_m: 92.0,
             town: true,
             cover: None,
         };
-        let truth = survey_city(&request, &City::new(41, plan), &frame, &grid, 0);
+        let truth = survey_city(&request, &City::new(41, plan), &nadir, 0);
         let share = class_share(&truth);
         let of = |name: &str| share.get(name).copied().unwrap_or(0.0);
         println!("{share:?}");
@@ -629,10 +540,9 @@ mod tests {
                     ..Default::default()
                 };
                 let collection = Collection::new(&request).expect("a plan");
-                let frame = LocalFrame::new(collection.origin);
-                let grid = TruthGrid::around(collection.origin, site.extent_m(), request.gsd());
+                let nadir = nadir(&collection, site.extent_m(), request.gsd());
                 for view in &collection.views {
-                    let rpc = camera(&request, &frame, &grid, view).expect("a camera").rpc;
+                    let rpc = camera(&request, &nadir, view).expect("a camera").rpc;
                     let last = canvas as f64 - 1.0;
                     for (col, row) in [(0.0, 0.0), (last, 0.0), (0.0, last), (last, last)] {
                         for height_m in [-60.0, 0.0, 120.0] {

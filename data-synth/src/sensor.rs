@@ -11,7 +11,7 @@ use crate::noise::stream;
 use crate::rational::RationalSensor;
 use crate::ray::Ray;
 use heliosplat_rpc::fit::{RpcFit, fit_rpc};
-use heliosplat_rpc::{ImagePoint, LocalFrame, RpcError};
+use heliosplat_rpc::{GeoPoint, ImagePoint, LocalFrame, RpcError};
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::RngExt;
 
@@ -82,45 +82,29 @@ struct Attitude {
 }
 
 /// A camera of any kind.
-#[derive(Debug, Clone)]
-pub(crate) enum Sensor {
-    /// Simulated push-broom satellite.
-    PushBroom(Box<PushBroom>),
-    /// Camera of a real image, given as an RPC.
-    Rational(RationalSensor),
-    /// Straight down on every cell of a map grid.
-    Nadir(NadirSensor),
+pub(crate) trait Sensor: Sync {
+    /// The ray of each (fractional) sample of a (fractional) line.
+    fn rays_of_line(&self, line: f64) -> Box<dyn Fn(f64) -> Ray + '_>;
 }
 
-/// One line of a sensor.
-pub(crate) enum SensorLine<'a> {
-    /// Push-broom satellite at the moment of the line.
-    PushBroom(&'a PushBroom, LineState),
-    /// RPC and the number of the line.
-    Rational(&'a RationalSensor, f64),
-    /// Nadir camera and the number of the line.
-    Nadir(&'a NadirSensor, f64),
-}
-
-impl Sensor {
-    /// The camera at a (fractional) line.
-    pub(crate) fn at_line(&self, line: f64) -> SensorLine<'_> {
-        match self {
-            Self::PushBroom(sensor) => SensorLine::PushBroom(sensor, sensor.at_line(line)),
-            Self::Rational(sensor) => SensorLine::Rational(sensor, line),
-            Self::Nadir(sensor) => SensorLine::Nadir(sensor, line),
-        }
+impl Sensor for PushBroom {
+    fn rays_of_line(&self, line: f64) -> Box<dyn Fn(f64) -> Ray + '_> {
+        let state = self.at_line(line);
+        Box::new(move |sample| self.ray(&state, sample))
     }
 }
 
-impl SensorLine<'_> {
-    /// Ray of a (fractional) sample.
-    pub(crate) fn ray(&self, sample: f64) -> Ray {
-        match self {
-            Self::PushBroom(sensor, state) => sensor.ray(state, sample),
-            Self::Rational(sensor, line) => sensor.ray(sample, *line),
-            Self::Nadir(sensor, line) => sensor.ray(sample, *line),
-        }
+/// Camera of a real image, given as an RPC.
+impl Sensor for RationalSensor {
+    fn rays_of_line(&self, line: f64) -> Box<dyn Fn(f64) -> Ray + '_> {
+        Box::new(move |sample| self.ray(sample, line))
+    }
+}
+
+/// Straight down on every cell of a map grid.
+impl Sensor for NadirSensor {
+    fn rays_of_line(&self, line: f64) -> Box<dyn Fn(f64) -> Ray + '_> {
+        Box::new(move |sample| self.ray(sample, line))
     }
 }
 
@@ -201,10 +185,8 @@ impl PushBroom {
     pub(crate) fn ray(&self, state: &LineState, sample: f64) -> Ray {
         let from_centre = sample - self.centre_px;
         let bent = from_centre + self.detector_bend_px * (from_centre / self.centre_px).powi(3);
-        Ray::new(
-            state.position,
-            (state.axes[2] + state.axes[0] * (bent * self.pixel_angle)).normalize(),
-        )
+        let sight = state.axes[2] + state.axes[0] * (bent * self.pixel_angle);
+        Ray::new(state.position, sight.normalize())
     }
 
     /// (sample, line), pixels, at which a point of the scene is seen, by Newton's method on the moment of the line.
@@ -239,11 +221,11 @@ impl PushBroom {
     pub(crate) fn fit_rational_camera(&self, frame: &LocalFrame) -> Result<RpcFit, RpcError> {
         const STEPS: usize = 15;
         const HEIGHTS: usize = 7;
-        let last_px = 2.0 * self.centre_px;
+        let steps: [f64; STEPS] = std::array::from_fn(|k| 2.0 * self.centre_px * k as f64 / (STEPS - 1) as f64);
         let mut samples = Vec::with_capacity(STEPS * STEPS * HEIGHTS);
-        for line in (0..STEPS).map(|k| last_px * k as f64 / (STEPS - 1) as f64) {
+        for line in steps {
             let state = self.at_line(line);
-            for sample in (0..STEPS).map(|k| last_px * k as f64 / (STEPS - 1) as f64) {
+            for sample in steps {
                 let ray = self.ray(&state, sample);
                 for k in 0..HEIGHTS {
                     let share = 2.0 * k as f64 / (HEIGHTS - 1) as f64 - 1.0;
@@ -259,14 +241,7 @@ impl PushBroom {
 
 impl Attitude {
     fn new(random: &mut rand_pcg::Pcg64Mcg) -> Self {
-        let mut drift = || {
-            [
-                random.random_range(-4.0..4.0),
-                random.random_range(-2.0..2.0),
-                random.random_range(-1.0..1.0),
-            ]
-        };
-        let drift_px = [drift(), drift(), drift()];
+        let drift_px = [0; 3].map(|_| [4.0, 2.0, 1.0].map(|most_px| random.random_range(-most_px..most_px)));
         Self {
             drift_px,
             vibration_px: random.random_range(0.005..0.02),
@@ -301,9 +276,7 @@ pub(crate) fn distance_to_height(frame: &LocalFrame, ray: &Ray, height_m: f64) -
 
 /// The Earth's centre and axis in a local frame.
 fn earth_in(frame: &LocalFrame) -> (Vector3<f64>, Unit<Vector3<f64>>) {
-    let pole = heliosplat_rpc::GeoPoint::new(0.0, 90.0, 0.0);
-    let opposite = heliosplat_rpc::GeoPoint { lat_deg: -90.0, ..pole };
-    let (north, south) = (frame.enu_from_geo(pole), frame.enu_from_geo(opposite));
+    let [north, south] = [90.0, -90.0].map(|lat_deg| frame.enu_from_geo(GeoPoint::new(0.0, lat_deg, 0.0)));
     (0.5 * (north + south), Unit::new_normalize(north - south))
 }
 
@@ -319,7 +292,6 @@ fn heading(radial: Vector3<f64>, axis: Unit<Vector3<f64>>) -> Vector3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use heliosplat_rpc::GeoPoint;
 
     fn sensor(seed: u64) -> (LocalFrame, PushBroom, ViewGeometry) {
         let frame = LocalFrame::new(GeoPoint::new(4.85, 45.75, 220.0));

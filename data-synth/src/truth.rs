@@ -2,12 +2,10 @@
 
 use crate::encoding::bands_of;
 use crate::materials::Season;
+use crate::nadir::NadirSensor;
 use crate::radiometry::LitScene;
 use crate::raytrace::Hit;
 use crate::request::BandSet;
-use crate::truth_grid::{TruthGrid, plumb_line};
-use heliosplat_rpc::LocalFrame;
-use rayon::prelude::*;
 
 /// Cells nearer to sea or snow than this are not counted as bare, metres: windows of a matcher reach over the edge.
 const BESIDE_COVER_M: f64 = 4.0;
@@ -15,7 +13,6 @@ const BESIDE_COVER_M: f64 = 4.0;
 const FINE: usize = 3;
 
 /// The truth rasters, row by row from the north-west.
-#[derive(Default)]
 pub(crate) struct Truth {
     /// Ellipsoidal altitude of the highest surface at each cell's centre, metres; NaN where there is none.
     pub(crate) altitude_m: Vec<f32>,
@@ -43,74 +40,78 @@ impl Truth {
 
 /// Ellipsoidal altitudes of the highest surface at the centre of each cell of the grid, metres, row by row; NaN where
 /// there is none.
-pub(crate) fn altitudes(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid) -> Vec<f32> {
-    let at = |cell: usize| {
-        let centre = [(cell % grid.size) as f64 + 0.5, (cell / grid.size) as f64 + 0.5];
-        look_down(scene, frame, grid, centre).map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32)
-    };
-    (0..grid.size * grid.size).into_par_iter().map(at).collect()
+pub(crate) fn altitudes(scene: &LitScene, nadir: &NadirSensor) -> Vec<f32> {
+    nadir.of_cells(|centre| altitude_m(nadir, look_down(scene, nadir, centre)))
+}
+
+fn altitude_m(nadir: &NadirSensor, hit: Option<Hit>) -> f32 {
+    hit.map_or(f32::NAN, |hit| nadir.frame.geo_from_enu(hit.point).height_m as f32)
 }
 
 /// Surveys the scene from straight above: the rasters of the grid, except for [`Truth::ground_m`].
-pub(crate) fn survey(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: BandSet) -> Truth {
-    let rows: Vec<Truth> = (0..grid.size)
-        .into_par_iter()
-        .map(|row| survey_row(scene, frame, grid, bands, row))
-        .collect();
-    let mut truth = Truth::default();
-    for row in rows {
-        truth.altitude_m.extend(row.altitude_m);
-        truth.class.extend(row.class);
-        truth.albedo.extend(row.albedo);
-        truth.cover.extend(row.cover);
-        truth.bare.extend(row.bare);
-        truth.glossy.extend(row.glossy);
+pub(crate) fn survey(scene: &LitScene, nadir: &NadirSensor, bands: BandSet) -> Truth {
+    let cells = nadir.of_cells(|centre| Cell::new(scene, nadir, bands, centre));
+    Truth {
+        altitude_m: cells.iter().map(|cell| cell.altitude_m).collect(),
+        ground_m: Vec::new(),
+        class: cells.iter().map(|cell| cell.class).collect(),
+        albedo: (cells
+            .iter()
+            .flat_map(|cell| &cell.albedo[..bands.names().len()])
+            .copied())
+        .collect(),
+        cover: cells.iter().map(|cell| u8::from(cell.inside_cover_m > 0.0)).collect(),
+        bare: cells.iter().map(|cell| cell.inside_cover_m < -BESIDE_COVER_M).collect(),
+        glossy: cells.iter().map(|cell| u8::from(cell.glossy)).collect(),
     }
-    truth
 }
 
-fn survey_row(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, bands: BandSet, row: usize) -> Truth {
-    let band_count = bands.names().len();
-    let mut truth = Truth::default();
-    for col in 0..grid.size {
-        let centre = look_down(scene, frame, grid, [col as f64 + 0.5, row as f64 + 0.5]);
-        truth
-            .altitude_m
-            .push(centre.map_or(f32::NAN, |hit| frame.geo_from_enu(hit.point).height_m as f32));
-        truth.class.push(centre.map_or(0, |hit| scene.class(&hit) as u8));
-        let inside_m = centre.map_or(0.0, |hit| scene.ground.inside_cover_m(hit.point.x, hit.point.y));
-        truth.cover.push(u8::from(inside_m > 0.0));
-        truth.bare.push(inside_m < -BESIDE_COVER_M);
-        truth
-            .glossy
-            .push(u8::from(centre.is_some_and(|hit| scene.lobe(&hit).is_some())));
-        let mut sum = [0f32; 4];
+/// The truth of one cell, as in [`Truth`].
+struct Cell {
+    altitude_m: f32,
+    class: u8,
+    /// Distance of the centre from the edge of sea or snow, positive where it is covered, metres.
+    inside_cover_m: f64,
+    glossy: bool,
+    albedo: [f32; 4],
+}
+
+impl Cell {
+    fn new(scene: &LitScene, nadir: &NadirSensor, bands: BandSet, centre: [f64; 2]) -> Self {
+        let hit = look_down(scene, nadir, centre);
+        let mut albedo = [0f32; 4];
         for k in 0..FINE * FINE {
-            let place = |index: usize, fine: usize| index as f64 + (fine as f64 + 0.5) / FINE as f64;
-            let at = [place(col, k % FINE), place(row, k / FINE)];
-            if let Some(hit) = look_down(scene, frame, grid, at) {
-                let (albedo, _) = bands_of(&scene.albedo(&hit, &Season::REFERENCE).1, bands);
-                for (total, value) in sum.iter_mut().zip(albedo) {
+            let fine = [k % FINE, k / FINE].map(|fine| (fine as f64 + 0.5) / FINE as f64);
+            let at = [0, 1].map(|axis| centre[axis] - 0.5 + fine[axis]);
+            if let Some(hit) = look_down(scene, nadir, at) {
+                let (values, _) = bands_of(&scene.albedo(&hit, &Season::REFERENCE).1, bands);
+                for (total, value) in albedo.iter_mut().zip(values) {
                     *total += value / (FINE * FINE) as f32;
                 }
             }
         }
-        truth.albedo.extend_from_slice(&sum[..band_count]);
+        Self {
+            altitude_m: altitude_m(nadir, hit),
+            class: hit.map_or(0, |hit| scene.class(&hit) as u8),
+            inside_cover_m: hit.map_or(0.0, |hit| scene.ground.inside_cover_m(hit.point.x, hit.point.y)),
+            glossy: hit.is_some_and(|hit| scene.lobe(&hit).is_some()),
+            albedo,
+        }
     }
-    truth
 }
 
 /// Highest surface at a place of the grid (columns and rows of cells), along the ellipsoid's normal; `None` outside of
 /// the terrain.
-pub(crate) fn look_down(scene: &LitScene, frame: &LocalFrame, grid: &TruthGrid, at: [f64; 2]) -> Option<Hit> {
+pub(crate) fn look_down(scene: &LitScene, nadir: &NadirSensor, at: [f64; 2]) -> Option<Hit> {
     let limits_m = [scene.tracer.bottom_m - 1.0, scene.tracer.top_m + 1.0];
-    scene.tracer.trace(&plumb_line(frame, grid, at, limits_m))
+    scene.tracer.trace(&nadir.plumb_line(at, limits_m))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use heliosplat_rpc::GeoPoint;
+    use crate::truth_grid::TruthGrid;
+    use heliosplat_rpc::{GeoPoint, LocalFrame};
 
     #[test]
     fn grid_is_snapped_and_centred_and_its_cells_are_areas() {
@@ -132,7 +133,6 @@ mod tests {
     fn a_roof_raises_exactly_the_cells_whose_centres_it_covers_to_exactly_its_altitude() {
         use crate::city::GroundCover;
         use crate::materials::{Class, Material, grey};
-        use crate::raytrace::Tracer;
         use crate::solid::{Finish, Solids};
         use crate::terrain::HeightField;
         let origin = GeoPoint::new(150.93, -33.82, 61.5);
@@ -153,14 +153,9 @@ mod tests {
         let finish = Finish::new(Class::Building, Material::Plain(grey(0.4)), 0);
         solids.polygon(&corners, finish);
         let terrain = HeightField::sample(30.0, 1.0, |_, _| 0.0);
-        let tracer = Tracer::new(&terrain, solids.primitives);
         let ground = GroundCover::plain(Material::Plain(grey(0.1)));
-        let scene = LitScene {
-            tracer: &tracer,
-            surfaces: &solids.surfaces,
-            ground: &ground,
-        };
-        let truth = survey(&scene, &frame, &grid, BandSet::Rgb);
+        let scene = LitScene::new(&terrain, solids, &ground);
+        let truth = survey(&scene, &NadirSensor { frame, grid }, BandSet::Rgb);
         for (index, (&altitude_m, &class)) in truth.altitude_m.iter().zip(&truth.class).enumerate() {
             let (col, row) = (index % grid.size, index / grid.size);
             let covered = (10..=20).contains(&col) && (5..=14).contains(&row);

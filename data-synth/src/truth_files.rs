@@ -4,12 +4,13 @@ use crate::error::SynthError;
 use crate::materials::Class;
 use crate::nadir::NadirSensor;
 use crate::radiometry::LitScene;
-use crate::relit::{self, Studio};
+use crate::relit;
 use crate::request::{Fault, SatelliteRequest};
+use crate::studio::Studio;
 use crate::truth::Truth;
-use crate::truth_grid::TruthGrid;
 use crate::write::Staging;
 use crate::write::geotiff::{Raster, Samples, write};
+use serde_json::{Value, json};
 
 /// Value of unknown samples. Not every tool reads NaN.
 const NODATA: f32 = -9999.0;
@@ -23,8 +24,10 @@ const DATUM: (&str, &str) = ("VERTICAL_DATUM", "WGS84 ellipsoid, metres");
 pub(crate) struct TruthFolder<'a> {
     /// Folder of the scene.
     pub(crate) staging: &'a Staging,
-    /// Grid of the rasters.
-    pub(crate) grid: &'a TruthGrid,
+    /// Request of the scene.
+    pub(crate) request: &'a SatelliteRequest,
+    /// Camera over the grid of the rasters.
+    pub(crate) nadir: &'a NadirSensor,
 }
 
 /// Copy of the values with NaN replaced by [`NODATA`].
@@ -43,17 +46,15 @@ impl TruthFolder<'_> {
         items: &[(&str, &str)],
         nodata: Option<f32>,
     ) -> Result<(), SynthError> {
-        let owned = items
-            .iter()
-            .map(|(key, value)| ((*key).to_string(), (*value).to_string()));
+        let grid = &self.nadir.grid;
         let raster = Raster {
-            width: self.grid.size,
-            height: self.grid.size,
+            width: grid.size,
+            height: grid.size,
             samples,
             bands,
-            items: &owned.collect::<Vec<_>>(),
+            items,
             rpc: None,
-            grid: Some(self.grid),
+            grid: Some(grid),
             nodata,
             canvas: None,
         };
@@ -75,27 +76,20 @@ impl TruthFolder<'_> {
     ///
     /// # Errors
     /// `SynthError::Failed` when a file cannot be written.
-    pub(crate) fn write(&self, request: &SatelliteRequest, truth: &Truth) -> Result<(), SynthError> {
+    pub(crate) fn write(&self, truth: &Truth) -> Result<(), SynthError> {
+        let request = self.request;
         let altitudes_m = marked(&truth.altitude_m);
         let about = "highest surface at the centre of each cell, without cars";
         self.put_altitudes("dsm", &altitudes_m, about)?;
         let about = "ground at the centre of each cell, without all that stands on it";
         self.put_altitudes("dtm", &truth.ground_m, about)?;
-        let codes = Class::NAMES
-            .iter()
-            .map(|(class, name)| ((*class as u8).to_string(), *name));
-        let codes: Vec<(String, &str)> = codes.collect();
-        let items: Vec<(&str, &str)> = codes.iter().map(|(code, name)| (code.as_str(), *name)).collect();
+        let codes = Class::NAMES.map(|(class, _)| (class as u8).to_string());
+        let names = Class::NAMES.iter().map(|(_, name)| *name);
+        let items: Vec<(&str, &str)> = codes.iter().map(String::as_str).zip(names).collect();
         self.put("classes", Samples::U8(&truth.class), &["class"], &items, None)?;
         let about = "mean albedo of the highest surface in each cell, in the reference season, without cars";
-        let items = [("DESCRIPTION", about)];
-        self.put(
-            "albedo",
-            Samples::F32(&truth.albedo),
-            request.bands.names(),
-            &items,
-            None,
-        )?;
+        let (bands, items) = (request.bands.names(), [("DESCRIPTION", about)]);
+        self.put("albedo", Samples::F32(&truth.albedo), bands, &items, None)?;
         if request.cover.is_some() {
             self.put_mask("cover", &truth.cover, "1 under sea or snow")?;
             let bare = altitudes_m.iter().zip(&truth.bare);
@@ -107,10 +101,11 @@ impl TruthFolder<'_> {
             let about = "1 where the highest surface is not Lambertian: metal, membranes, solar panels";
             self.put_mask("glossy", &truth.glossy, about)?;
         }
-        let (west_m, size, cell_m) = (self.grid.west_m, self.grid.size, self.grid.cell_m);
-        let south_m = self.grid.north_m - size as f64 * cell_m;
-        self.staging
-            .text("truth/dsm.txt", &format!("{west_m}\n{south_m}\n{size}\n{cell_m}\n"))
+        let grid = &self.nadir.grid;
+        let (west_m, size, cell_m) = (grid.west_m, grid.size, grid.cell_m);
+        let south_m = grid.north_m - size as f64 * cell_m;
+        let text = format!("{west_m}\n{south_m}\n{size}\n{cell_m}\n");
+        self.staging.text("truth/dsm.txt", &text)
     }
 
     /// Writes the altitudes before the first change, their change until after the last, and for each cell the day from
@@ -125,10 +120,8 @@ impl TruthFolder<'_> {
         let values: Vec<f64> = cells
             .flat_map(|((after, before), day)| {
                 let difference_m = after - before;
-                [
-                    f64::from(if difference_m.is_nan() { NODATA } else { difference_m }),
-                    *day,
-                ]
+                let known = !difference_m.is_nan();
+                [f64::from(if known { difference_m } else { NODATA }), *day]
             })
             .collect();
         let about = "what was built or torn down between the first and the last image: difference_m, last minus first; changed_at, the day of the first image that shows the new state (YYYYMMDD), 0 where nothing changed";
@@ -143,37 +136,32 @@ impl TruthFolder<'_> {
     /// `SynthError::Failed` when a file cannot be written.
     pub(crate) fn write_relit(
         &self,
-        request: &SatelliteRequest,
-        (scene, sensor): (&LitScene, &NadirSensor),
+        scene: &LitScene,
         studio: &Studio,
         suns_deg: &[[f64; 2]],
         rows_done: &mut dyn FnMut(usize),
     ) -> Result<(), SynthError> {
+        let bands = self.request.bands.names();
         for (number, &sun_deg) in suns_deg.iter().enumerate() {
-            let image = relit::relit(request, scene, sensor, studio, sun_deg, rows_done);
+            let image = relit::relit(self.request, scene, self.nadir, studio, sun_deg, rows_done);
             let [azimuth, elevation] = sun_deg.map(|angle| angle.to_string());
-            let sun = [("SUN_AZIMUTH", azimuth.as_str()), ("SUN_ELEVATION", elevation.as_str())];
+            let items = |about| {
+                [
+                    ("DESCRIPTION", about),
+                    ("SUN_AZIMUTH", &*azimuth),
+                    ("SUN_ELEVATION", &*elevation),
+                ]
+            };
             let about = "the site from straight above under a sun of no image: linear counts at the gain of the image with the highest sun, no cars, no noise";
-            let (bands, items) = (request.bands.names(), [("DESCRIPTION", about), sun[0], sun[1]]);
-            self.put(
-                &format!("relit_{number}"),
-                Samples::U16(&image.counts),
-                bands,
-                &items,
-                None,
-            )?;
-            let (name, items) = (
-                format!("relit_{number}_shadow"),
-                [("DESCRIPTION", SHADOW_MEANS), sun[0], sun[1]],
-            );
+            let name = format!("relit_{number}");
+            self.put(&name, Samples::U16(&image.counts), bands, &items(about), None)?;
+            let (name, items) = (format!("relit_{number}_shadow"), items(SHADOW_MEANS));
             self.put(&name, Samples::U8(&image.shadow), &["shadow"], &items, None)?;
         }
-        let list = suns_deg
-            .iter()
-            .map(|sun| serde_json::json!({"sun_azimuth_deg": sun[0], "sun_elevation_deg": sun[1]}));
-        let list = serde_json::Value::from(list.collect::<Vec<_>>());
+        let sun = |[azimuth, elevation]: &[f64; 2]| json!({"sun_azimuth_deg": azimuth, "sun_elevation_deg": elevation});
+        let list: Value = suns_deg.iter().map(sun).collect();
         self.staging.text("truth/relit.json", &format!("{list:#}\n"))?;
-        let hours = marked(&relit::sun_hours(scene, &sensor.frame, self.grid));
+        let hours = marked(&relit::sun_hours(scene, self.nadir));
         let about = "hours of direct sun on the highest surface at the centre of each cell, without cars, between two midnights of mean solar time";
         let items = [("DESCRIPTION", about), ("DATE", relit::DAY)];
         self.put("sun_hours", Samples::F32(&hours), &["sun_hours"], &items, Some(NODATA))

@@ -1,8 +1,7 @@
-//! Map grid of the truth rasters, and the vertical rays through its cells.
+//! Map grid of the truth rasters.
 
-use crate::ray::Ray;
 use crate::utm::UtmZone;
-use heliosplat_rpc::{GeoPoint, LocalFrame};
+use heliosplat_rpc::GeoPoint;
 use serde::{Deserialize, Serialize};
 
 /// A north-up grid of square cells in a UTM zone.
@@ -44,13 +43,4 @@ impl TruthGrid {
         self.zone
             .unproject(self.west_m + col * self.cell_m, self.north_m - row * self.cell_m)
     }
-}
-
-/// The ray down the ellipsoid's normal through a place of the grid (columns and rows of cells), from the higher of two
-/// altitudes (metres above the frame's origin) toward the lower.
-pub(crate) fn plumb_line(frame: &LocalFrame, grid: &TruthGrid, [col, row]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Ray {
-    let [lon_deg, lat_deg] = grid.lon_lat(col, row);
-    let at = |height_m: f64| frame.enu_from_geo(GeoPoint::new(lon_deg, lat_deg, frame.origin.height_m + height_m));
-    let (top, bottom) = (at(high_m), at(low_m));
-    Ray::new(top, (bottom - top).normalize())
 }

@@ -4,6 +4,7 @@ use super::failed;
 use crate::crop::Canvas;
 use crate::error::SynthError;
 use crate::truth_grid::TruthGrid;
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
@@ -43,8 +44,8 @@ pub(crate) struct Raster<'a> {
     pub(crate) samples: Samples<'a>,
     /// Name of each band.
     pub(crate) bands: &'a [&'a str],
-    /// Items of GDAL's default metadata domain.
-    pub(crate) items: &'a [(String, String)],
+    /// Items (name, value) of GDAL's default metadata domain.
+    pub(crate) items: &'a [(&'a str, &'a str)],
     /// The 92 values of RPCCoefficientTag, if the raster has a camera.
     pub(crate) rpc: Option<[f64; 92]>,
     /// Georeference, if the raster has one.
@@ -53,13 +54,6 @@ pub(crate) struct Raster<'a> {
     pub(crate) nodata: Option<f32>,
     /// The larger file that the raster lies in, if any; samples outside of the raster are 0.
     pub(crate) canvas: Option<Canvas>,
-}
-
-impl Raster<'_> {
-    /// Columns and rows of the file.
-    fn file_size(&self) -> [usize; 2] {
-        self.canvas.map_or([self.width, self.height], |canvas| [canvas.size; 2])
-    }
 }
 
 impl<'a> Samples<'a> {
@@ -72,21 +66,15 @@ impl<'a> Samples<'a> {
         Self::U8(bytes)
     }
 
-    fn bits(&self) -> u16 {
-        match self {
-            Samples::U8(_) => 8,
-            Samples::U16(_) => 16,
-            Samples::F32(_) => 32,
-            Samples::F64(_) => 64,
-        }
-    }
-
-    /// TIFF's SampleFormat: unsigned integer or floating point.
-    fn format(&self) -> u16 {
-        if matches!(self, Samples::F32(_) | Samples::F64(_)) {
-            3
-        } else {
-            1
+    /// The samples in the order of bytes of this machine, their bits, and TIFF's SampleFormat.
+    fn encoded(&self) -> (Cow<'a, [u8]>, u16, u16) {
+        const UNSIGNED: u16 = 1;
+        const FLOATING: u16 = 3;
+        match *self {
+            Samples::U8(samples) => (samples.data(), 8, UNSIGNED),
+            Samples::U16(samples) => (samples.data(), 16, UNSIGNED),
+            Samples::F32(samples) => (samples.data(), 32, FLOATING),
+            Samples::F64(samples) => (samples.data(), 64, FLOATING),
         }
     }
 }
@@ -115,13 +103,13 @@ fn encode<W: Write + Seek>(writer: W, raster: &Raster) -> TiffResult<()> {
 
 fn put<W: Write + Seek, K: TiffKind>(mut encoder: TiffEncoder<W, K>, raster: &Raster) -> TiffResult<()> {
     let mut directory = encoder.image_directory()?;
-    match raster.samples {
-        Samples::U8(samples) => blocks(&mut directory, raster, samples)?,
-        Samples::U16(samples) => blocks(&mut directory, raster, samples)?,
-        Samples::F32(samples) => blocks(&mut directory, raster, samples)?,
-        Samples::F64(samples) => blocks(&mut directory, raster, samples)?,
+    let (bytes, bits, format) = raster.samples.encoded();
+    let pixel_bytes = raster.bands.len() * usize::from(bits / 8);
+    match &raster.canvas {
+        None => strips(&mut directory, raster, &bytes, pixel_bytes)?,
+        Some(canvas) => tiles(&mut directory, raster, &bytes, pixel_bytes, canvas)?,
     }
-    baseline_tags(&mut directory, raster)?;
+    baseline_tags(&mut directory, raster, bits, format)?;
     if let Some(rpc) = &raster.rpc {
         directory.write_tag(Tag::Unknown(RPC_TAG), &rpc[..])?;
     }
@@ -135,35 +123,18 @@ fn put<W: Write + Seek, K: TiffKind>(mut encoder: TiffEncoder<W, K>, raster: &Ra
     directory.finish()
 }
 
-fn blocks<W: Write + Seek, K: TiffKind, T: Copy + Default>(
+fn strips<W: Write + Seek, K: TiffKind>(
     directory: &mut DirectoryEncoder<W, K>,
     raster: &Raster,
-    samples: &[T],
-) -> TiffResult<()>
-where
-    [T]: TiffValue,
-{
-    match &raster.canvas {
-        None => strips(directory, raster, samples),
-        Some(canvas) => tiles(directory, raster, samples, canvas),
-    }
-}
-
-fn strips<W: Write + Seek, K: TiffKind, T>(
-    directory: &mut DirectoryEncoder<W, K>,
-    raster: &Raster,
-    samples: &[T],
-) -> TiffResult<()>
-where
-    [T]: TiffValue,
-{
-    let row = raster.width * raster.bands.len();
-    let rows = (STRIP_BYTES / (row * size_of::<T>())).clamp(1, raster.height);
-    let mut offsets = Vec::new();
-    let mut lengths = Vec::new();
-    for strip in samples.chunks(row * rows) {
+    bytes: &[u8],
+    pixel_bytes: usize,
+) -> TiffResult<()> {
+    let row_bytes = raster.width * pixel_bytes;
+    let rows = (STRIP_BYTES / row_bytes).clamp(1, raster.height);
+    let (mut offsets, mut lengths) = (Vec::new(), Vec::new());
+    for strip in bytes.chunks(row_bytes * rows) {
         offsets.push(u32::try_from(directory.write_data(strip)?)?);
-        lengths.push(u32::try_from(size_of_val(strip))?);
+        lengths.push(u32::try_from(strip.len())?);
     }
     directory.write_tag(Tag::RowsPerStrip, u32::try_from(rows)?)?;
     directory.write_tag(Tag::StripOffsets, &offsets[..])?;
@@ -172,16 +143,14 @@ where
 
 /// Writes the tiles that hold a part of the raster. The offset and the length of all others are 0, by which GDAL knows
 /// tiles that are missing.
-fn tiles<W: Write + Seek, K: TiffKind, T: Copy + Default>(
+fn tiles<W: Write + Seek, K: TiffKind>(
     directory: &mut DirectoryEncoder<W, K>,
     raster: &Raster,
-    samples: &[T],
+    bytes: &[u8],
+    pixel_bytes: usize,
     canvas: &Canvas,
-) -> TiffResult<()>
-where
-    [T]: TiffValue,
-{
-    let (bands, across) = (raster.bands.len(), canvas.size.div_ceil(TILE));
+) -> TiffResult<()> {
+    let across = canvas.size.div_ceil(TILE);
     let (mut offsets, mut lengths) = (vec![0u64; across * across], vec![0u64; across * across]);
     // Columns or rows of the canvas that a tile shares with the raster.
     let shared =
@@ -193,15 +162,15 @@ where
         if cols.is_empty() || rows.is_empty() {
             continue;
         }
-        let mut tile = vec![T::default(); TILE * TILE * bands];
+        let mut tile = vec![0u8; TILE * TILE * pixel_bytes];
         for row in rows {
-            let from = ((row - canvas.row) * raster.width + cols.start - canvas.col) * bands;
-            let to = ((row - top * TILE) * TILE + cols.start - left * TILE) * bands;
-            let length = cols.len() * bands;
-            tile[to..to + length].copy_from_slice(&samples[from..from + length]);
+            let from = ((row - canvas.row) * raster.width + cols.start - canvas.col) * pixel_bytes;
+            let to = ((row - top * TILE) * TILE + cols.start - left * TILE) * pixel_bytes;
+            let length = cols.len() * pixel_bytes;
+            tile[to..to + length].copy_from_slice(&bytes[from..from + length]);
         }
         offsets[index] = directory.write_data(&tile[..])?;
-        lengths[index] = u64::try_from(size_of_val(&tile[..]))?;
+        lengths[index] = u64::try_from(tile.len())?;
     }
     directory.write_tag(Tag::TileWidth, u32::try_from(TILE)?)?;
     directory.write_tag(Tag::TileLength, u32::try_from(TILE)?)?;
@@ -212,20 +181,22 @@ where
 fn baseline_tags<W: Write + Seek, K: TiffKind>(
     directory: &mut DirectoryEncoder<W, K>,
     raster: &Raster,
+    bits: u16,
+    format: u16,
 ) -> TiffResult<()> {
     const BLACK_IS_ZERO: u16 = 1;
     const RGB: u16 = 2;
     let bands = raster.bands.len();
     let colour = raster.bands.first() == Some(&"Red") && bands >= 3;
-    let [width, height] = raster.file_size();
+    let [width, height] = (raster.canvas).map_or([raster.width, raster.height], |canvas| [canvas.size; 2]);
     directory.write_tag(Tag::ImageWidth, u32::try_from(width)?)?;
     directory.write_tag(Tag::ImageLength, u32::try_from(height)?)?;
-    directory.write_tag(Tag::BitsPerSample, &vec![raster.samples.bits(); bands][..])?;
+    directory.write_tag(Tag::BitsPerSample, &vec![bits; bands][..])?;
     directory.write_tag(Tag::Compression, 1u16)?;
     directory.write_tag(Tag::PhotometricInterpretation, if colour { RGB } else { BLACK_IS_ZERO })?;
     directory.write_tag(Tag::SamplesPerPixel, u16::try_from(bands)?)?;
     directory.write_tag(Tag::PlanarConfiguration, 1u16)?;
-    directory.write_tag(Tag::SampleFormat, &vec![raster.samples.format(); bands][..])?;
+    directory.write_tag(Tag::SampleFormat, &vec![format; bands][..])?;
     let extra = bands - if colour { 3 } else { 1 };
     if extra > 0 {
         // 0: unspecified, in particular not transparency.
@@ -277,7 +248,7 @@ mod tests {
     fn samples_and_tags_come_back() {
         let counts: Vec<u16> = (0..4 * 30 * 20).collect();
         let rpc: [f64; 92] = std::array::from_fn(|k| k as f64 * 1.1);
-        let items = [("A<B".to_string(), "1 & 2".to_string())];
+        let items = [("A<B", "1 & 2")];
         let raster = Raster {
             width: 30,
             height: 20,

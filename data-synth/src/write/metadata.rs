@@ -7,34 +7,38 @@ use heliosplat_rpc::{GeoPoint, ImagePoint, Rpc, RpcError};
 use serde_json::{Value, json};
 
 /// Items (name, value) for GDAL's default metadata domain. `cloud_share` is 0 to 1.
-pub(crate) fn image_items(view: &ViewPlan, request: &SatelliteRequest, cloud_share: f64) -> Vec<(String, String)> {
-    let time = view.time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string();
-    let radiometry = if request.bits == 8 {
+pub(crate) fn image_items(
+    view: &ViewPlan,
+    request: &SatelliteRequest,
+    cloud_share: f64,
+) -> Vec<(&'static str, String)> {
+    let display = request.bits == 8;
+    let radiometry = if display {
         "display, sRGB"
     } else {
         "linear counts, 11 bits"
     };
-    let mut items = [
-        ("ACQUISITIONDATETIME", time),
+    let [azimuth_deg, elevation_deg] = [view.sun.azimuth_rad, view.sun.elevation_rad].map(f64::to_degrees);
+    let mut items = vec![
         (
-            "NITF_USE00A_SUN_AZ",
-            format!("{:.1}", view.sun.azimuth_rad.to_degrees()),
+            "ACQUISITIONDATETIME",
+            view.time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
         ),
-        (
-            "NITF_USE00A_SUN_EL",
-            format!("{:.1}", view.sun.elevation_rad.to_degrees()),
-        ),
+        ("NITF_USE00A_SUN_AZ", format!("{azimuth_deg:.1}")),
+        ("NITF_USE00A_SUN_EL", format!("{elevation_deg:.1}")),
         ("SATELLITEID", "HELIOSPLAT-SYNTH".to_string()),
         ("CLOUDCOVER", format!("{:.0}", 100.0 * cloud_share)),
-        ("RADIOMETRY", radiometry.to_string()),
-    ]
-    .map(|(name, value)| (name.to_string(), value))
-    .to_vec();
-    if request.has(Fault::Stretch) {
-        // Vendors do not document the stretch of display images.
-        items.retain(|(name, _)| name != "RADIOMETRY");
+    ];
+    // Vendors do not document the stretch of display images.
+    if !request.has(Fault::Stretch) {
+        items.push(("RADIOMETRY", radiometry.to_string()));
     }
     items
+}
+
+/// The items as a raster refers to them.
+pub(crate) fn borrowed<'a>(items: &'a [(&'a str, String)]) -> Vec<(&'a str, &'a str)> {
+    items.iter().map(|(name, value)| (*name, value.as_str())).collect()
 }
 
 /// Altitude bounds, metres, as a public elevation model would give: 10 to 25 m wider than the truth on either side.
@@ -66,10 +70,10 @@ pub(crate) fn satnerf_json(
     let [col, row] = canvas.map_or([0, 0], |canvas| [canvas.col, canvas.row]);
     let (left, top) = (col as f64 - 0.5, row as f64 - 0.5);
     let (right, bottom) = (left + crop.width as f64, top + crop.height as f64);
-    let ring = [(left, top), (left, bottom), (right, bottom), (right, top), (left, top)]
+    let ring = [(left, top), (left, bottom), (right, bottom), (right, top), (left, top)];
+    let ring: Vec<Value> = (ring.into_iter())
         .map(|(col, row)| place(col, row))
-        .into_iter()
-        .collect::<Result<Vec<_>, _>>()?;
+        .collect::<Result<_, _>>()?;
     Ok(json!({
         "img": format!("{}.tif", view.name),
         "height": canvas.map_or(crop.height, |canvas| canvas.size),
