@@ -7,12 +7,8 @@ use crate::solid::{Finish, Footprint, Solids};
 /// A place where a car may stand.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CarSlot {
-    /// Distance of the bay's centre east of the site's centre, metres.
-    pub(crate) x: f64,
-    /// Distance of the bay's centre north of the site's centre, metres.
-    pub(crate) y: f64,
-    /// Direction of the car's length, radians from east, counter-clockwise.
-    pub(crate) angle_rad: f64,
+    /// The bay; a car's length lies along its length.
+    pub(crate) bay: Footprint,
     /// Seed of the cars that stand here.
     pub(crate) seed: u64,
 }
@@ -43,9 +39,9 @@ impl CarSlot {
         }
         let long = draw(2);
         let plan = Footprint {
-            x: self.x + 0.3 * (draw(3) - 0.5),
-            y: self.y + 0.3 * (draw(4) - 0.5),
-            angle_rad: self.angle_rad + if draw(5) > 0.5 { std::f64::consts::PI } else { 0.0 },
+            x: self.bay.x + 0.3 * (draw(3) - 0.5),
+            y: self.bay.y + 0.3 * (draw(4) - 0.5),
+            angle_rad: self.bay.angle_rad + if draw(5) > 0.5 { std::f64::consts::PI } else { 0.0 },
             half: [2.0 + 0.4 * long, 0.86 + 0.08 * long],
         };
         let paint = PAINTS[(draw(6) * PAINTS.len() as f64) as usize % PAINTS.len()];
@@ -66,14 +62,13 @@ mod tests {
 
     #[test]
     fn a_bay_is_full_on_some_dates_only() {
-        let slots: Vec<CarSlot> = (0..200)
-            .map(|seed| CarSlot {
-                x: 0.0,
-                y: 0.0,
-                angle_rad: 0.0,
-                seed,
-            })
-            .collect();
+        let bay = Footprint {
+            x: 0.0,
+            y: 0.0,
+            angle_rad: 0.0,
+            half: [2.5, 1.1],
+        };
+        let slots: Vec<CarSlot> = (0..200).map(|seed| CarSlot { bay, seed }).collect();
         let parked = |date: u64| -> Vec<bool> {
             let stands = |slot: &CarSlot| {
                 let mut solids = Solids::default();

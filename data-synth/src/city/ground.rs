@@ -1,15 +1,12 @@
 //! Ground cover: zones in city coordinates, later ones over earlier ones, and their effect on the terrain.
 
 use super::streets::Bend;
-use crate::cover::{Coast, Covered};
+use crate::cover::Covered;
 use crate::materials::{Class, Material, Season, Spectrum, Spot, grey};
-use crate::noise::{noise, smoothstep};
+use crate::noise::noise;
 use crate::raytrace::Hit;
-use crate::terrain::Relief;
 use std::collections::HashMap;
 
-/// Depth of carriageways below the pavements, metres.
-const KERB_M: f64 = 0.12;
 /// Mean albedo of the sea; images have their own, with waves.
 const SEA: [f64; 4] = [0.028, 0.046, 0.050, 0.006];
 /// Side of the squares by which zones are found, metres.
@@ -99,7 +96,7 @@ pub(crate) struct Pond {
 
 impl Pond {
     /// True if a place in city coordinates is certainly farther than `distance_m` from the shore; cheap.
-    fn is_farther_than(&self, uv: [f64; 2], distance_m: f64) -> bool {
+    pub(crate) fn is_farther_than(&self, uv: [f64; 2], distance_m: f64) -> bool {
         /// More than the largest factor by which a shore wavers.
         const WAVER: f64 = 1.23;
         let [l, w] = self.zone.half;
@@ -201,44 +198,5 @@ impl GroundCover {
         }
         let (zone, spot) = self.zone_at(x, y);
         (zone.class, zone.material.albedo(spot, season))
-    }
-}
-
-/// The shape of the ground: the relief, lowered streets and level ponds.
-pub(crate) struct Landform<'a> {
-    /// Ground before streets and ponds.
-    pub(crate) relief: Relief,
-    /// City coordinates.
-    pub(crate) bend: Bend,
-    /// Blocks with their pavements; the ground between them is lowered.
-    pub(crate) blocks: &'a [Zone],
-    /// Ponds, level with a bank around them.
-    pub(crate) ponds: &'a [Pond],
-    /// The sea, where there is one.
-    pub(crate) coast: Option<Coast>,
-}
-
-impl Landform<'_> {
-    /// Altitude at a place, metres of the scene's frame.
-    pub(crate) fn height_m(&self, x: f64, y: f64) -> f64 {
-        let uv = self.bend.uv_from_xy([x, y]);
-        // Only the edge of the block that the place is in, or next to, matters.
-        let near = |block: &&Zone| (0..2).all(|k| (uv[k] - block.centre[k]).abs() < block.half[k] + 1.0);
-        let from_blocks = self.blocks.iter().filter(near).map(|block| block.distance_m(uv));
-        let from_block = from_blocks.fold(f64::INFINITY, f64::min);
-        let mut height_m = self.relief.height_m(x, y) - KERB_M * smoothstep(-0.2, 0.6, from_block);
-        for pond in self.ponds {
-            // Level for 2 m beyond the shore, so that no cell under the water is tilted; then a bank.
-            let bank = if pond.is_farther_than(uv, 8.0) {
-                1.0
-            } else {
-                smoothstep(2.0, 8.0, pond.zone.distance_m(uv))
-            };
-            height_m = pond.level_m + (height_m - pond.level_m) * bank;
-        }
-        if let Some(coast) = &self.coast {
-            height_m = coast.height_m(height_m, x, y);
-        }
-        height_m
     }
 }

@@ -14,17 +14,15 @@ mod works;
 pub(crate) use changes::Changes;
 pub(crate) use ground::GroundCover;
 
-use crate::cars::CarSlot;
 use crate::cover::{Coast, Covered, Shore};
 use crate::materials::{Class, Material, grey};
 use crate::noise::{hash2, stream};
 use crate::request::Cover;
 use crate::solid::Solids;
 use crate::terrain::{HeightField, Relief};
-use crate::vegetation::{Hedge, Tree};
 use Use::{Apartments, Commerce, Houses, Park, Tower};
 use building::Building;
-use ground::{Landform, Outline, Zone};
+use ground::{Outline, Zone};
 use planner::{Planner, Plot};
 use rand::RngExt;
 use rand::seq::SliceRandom;
@@ -57,10 +55,8 @@ pub(crate) struct City {
     pub(crate) terrain: HeightField,
     /// Class and material of the ground.
     pub(crate) ground: GroundCover,
-    buildings: Vec<Building>,
-    trees: Vec<Tree>,
-    hedges: Vec<Hedge>,
-    car_slots: Vec<CarSlot>,
+    /// Buildings, plants and bays for cars.
+    planned: Planner,
     /// Buildings that exist on some dates only.
     changes: Changes,
 }
@@ -115,28 +111,20 @@ impl City {
         if let Some(coast) = &coast {
             planner.clear(|[x, y], reach_m| coast.shore.inside_m(x, y) + reach_m > -QUAY_M);
         }
-        let landform = Landform {
-            relief,
-            bend,
-            blocks: &pavements,
-            ponds: &planner.ponds,
-            coast,
-        };
-        let terrain = HeightField::sample(plan.half_extent_m, TERRAIN_CELL_M, |x, y| landform.height_m(x, y));
+        let height_m = |x: f64, y: f64| planner.height_m(&pavements, coast.as_ref(), [x, y]);
+        let terrain = HeightField::sample(plan.half_extent_m, TERRAIN_CELL_M, height_m);
+        let zones = std::mem::take(&mut planner.zones);
         Self {
             terrain,
-            ground: GroundCover::new(bend, planner.zones, covered, hash2(seed, 0x60) as u32),
-            buildings: planner.buildings,
-            trees: planner.trees,
-            hedges: planner.hedges,
-            car_slots: planner.car_slots,
+            ground: GroundCover::new(bend, zones, covered, hash2(seed, 0x60) as u32),
+            planned: planner,
             changes: Changes::default(),
         }
     }
 
     /// Lets `share` (0 to 1) of the larger buildings be built or torn down, each on one of the dates `on`.
     pub(crate) fn changing(mut self, seed: u64, share: f64, on: &[usize]) -> Self {
-        self.changes = Changes::new(seed, &self.buildings, share, on);
+        self.changes = Changes::new(seed, &self.planned.buildings, share, on);
         self
     }
 
@@ -147,22 +135,22 @@ impl City {
             let date = self.changes.date(index)?;
             (building.footprint.distance_m(x, y) <= 0.0).then_some(date)
         };
-        self.buildings.iter().enumerate().filter_map(here).max()
+        self.planned.buildings.iter().enumerate().filter_map(here).max()
     }
 
     /// All static solids of a date: the scene of the truth rasters.
     pub(crate) fn solids(&self, date: usize) -> Solids {
         let mut solids = Solids::default();
         let height_at = |x: f64, y: f64| self.terrain.height_m(x, y);
-        for (index, building) in self.buildings.iter().enumerate() {
+        for (index, building) in self.planned.buildings.iter().enumerate() {
             if self.changes.stands(index, date) {
                 building.build(&mut solids);
             }
         }
-        for tree in &self.trees {
+        for tree in &self.planned.trees {
             tree.build(&mut solids, height_at(tree.x, tree.y));
         }
-        for hedge in &self.hedges {
+        for hedge in &self.planned.hedges {
             hedge.build(&mut solids, height_at);
         }
         solids
@@ -171,7 +159,7 @@ impl City {
     /// All solids of a date: the static ones, and cars in `occupancy` (0 to 1) of the bays.
     pub(crate) fn solids_with_cars(&self, date: usize, occupancy: f64) -> Solids {
         let mut solids = self.solids(date);
-        for slot in &self.car_slots {
+        for slot in &self.planned.car_slots {
             slot.build(&mut solids, date as u64, occupancy, |x, y| self.terrain.height_m(x, y));
         }
         solids
@@ -180,17 +168,17 @@ impl City {
 
 /// Blocks that touch the built square, nearest to its centre first.
 fn near_blocks(bend: &Bend, blocks: &[Block], half_extent_m: f64) -> Vec<Block> {
-    let distance_m = |block: &Block| {
+    let far_m = |block: &Block| {
         let [x, y] = bend.xy_from_uv(block.centre());
-        (x.abs().max(y.abs()), block.half()[0].hypot(block.half()[1]))
+        x.abs().max(y.abs())
     };
-    let mut kept: Vec<(f64, Block)> = (blocks.iter())
-        .map(|block| (distance_m(block), *block))
-        .filter(|((far_m, reach_m), _)| far_m - reach_m < half_extent_m)
-        .map(|((far_m, _), block)| (far_m, block))
-        .collect();
-    kept.sort_by(|a, b| a.0.total_cmp(&b.0));
-    kept.into_iter().map(|(_, block)| block).collect()
+    let reach_m = |block: &Block| block.half()[0].hypot(block.half()[1]);
+    let touching = blocks
+        .iter()
+        .filter(|block| far_m(block) - reach_m(block) < half_extent_m);
+    let mut kept: Vec<Block> = touching.copied().collect();
+    kept.sort_by(|a, b| far_m(a).total_cmp(&far_m(b)));
+    kept
 }
 
 /// One use for each block, dealt from shuffled hands so that every neighbourhood has some of each.

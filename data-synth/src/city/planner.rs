@@ -5,14 +5,18 @@ use super::building::{Building, Design};
 use super::ground::{Outline, Pond, Zone};
 use super::streets::{Bend, Block};
 use crate::cars::CarSlot;
+use crate::cover::Coast;
 use crate::materials::{Class, Material};
-use crate::noise::{hash2, stream};
+use crate::noise::{hash2, smoothstep, stream};
 use crate::solid::Footprint;
 use crate::terrain::Relief;
 use crate::vegetation::{Hedge, Tree, TreeKind};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use std::f64::consts::FRAC_PI_2;
+
+/// Depth of carriageways below the pavements, metres.
+const KERB_M: f64 = 0.12;
 
 /// Objects of the city so far, and the random numbers of the next ones.
 pub(crate) struct Planner {
@@ -159,15 +163,12 @@ impl Planner {
 
     /// Adds a bay for a car, along the length of the plot or across it.
     pub(crate) fn park(&mut self, plot: &Plot, at: [f64; 2], across: bool) {
-        let plan = self.footprint(plot, at, [2.5, 1.1]);
-        let turn_rad = if across { FRAC_PI_2 } else { 0.0 };
+        let mut bay = self.footprint(plot, at, [2.5, 1.1]);
+        if across {
+            bay.angle_rad += FRAC_PI_2;
+        }
         let seed = self.next_seed();
-        self.car_slots.push(CarSlot {
-            x: plan.x,
-            y: plan.y,
-            angle_rad: plan.angle_rad + turn_rad,
-            seed,
-        });
+        self.car_slots.push(CarSlot { bay, seed });
     }
 
     /// Adds a hedge between two points of a plot.
@@ -176,6 +177,27 @@ impl Planner {
         let seed = self.next_seed();
         let height_m = self.range(1.2, 2.0);
         self.hedges.push(Hedge { ends, height_m, seed });
+    }
+
+    /// Altitude of the ground at a place (metres east and north of the site's centre), metres of the scene's frame: the
+    /// relief, lowered between the `blocks`, level ponds with a bank around them, and the sea beyond a coast.
+    pub(crate) fn height_m(&self, blocks: &[Zone], coast: Option<&Coast>, [x, y]: [f64; 2]) -> f64 {
+        let uv = self.bend.uv_from_xy([x, y]);
+        // Only the edge of the block that the place is in, or next to, matters.
+        let near = |block: &&Zone| (0..2).all(|k| (uv[k] - block.centre[k]).abs() < block.half[k] + 1.0);
+        let from_blocks = blocks.iter().filter(near).map(|block| block.distance_m(uv));
+        let from_block = from_blocks.fold(f64::INFINITY, f64::min);
+        let mut height_m = self.relief.height_m(x, y) - KERB_M * smoothstep(-0.2, 0.6, from_block);
+        for pond in &self.ponds {
+            // Level for 2 m beyond the shore, so that no cell under the water is tilted; then a bank.
+            let bank = if pond.is_farther_than(uv, 8.0) {
+                1.0
+            } else {
+                smoothstep(2.0, 8.0, pond.zone.distance_m(uv))
+            };
+            height_m = pond.level_m + (height_m - pond.level_m) * bank;
+        }
+        coast.map_or(height_m, |coast| coast.height_m(height_m, x, y))
     }
 
     /// Removes buildings, plants, cars and ponds where `taken(place, reach in metres)` is true; places are metres east
@@ -190,7 +212,7 @@ impl Planner {
         self.trees.retain(|tree| !taken([tree.x, tree.y], tree.radius_m));
         self.hedges
             .retain(|hedge| !hedge.ends.iter().any(|end| taken(*end, 0.0)));
-        self.car_slots.retain(|slot| !taken([slot.x, slot.y], 2.5));
+        self.car_slots.retain(|slot| !taken([slot.bay.x, slot.bay.y], 2.5));
         let bend = self.bend;
         let gone = |zone: &Zone| {
             let reach_m = zone.half[0].hypot(zone.half[1]) + SHORE_M;

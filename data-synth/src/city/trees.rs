@@ -15,34 +15,30 @@ impl Planner {
     /// Grows the requested trees, except where a wall, another tree or water is in the way.
     pub(crate) fn grow(&mut self) {
         for (uv, radius_m, kind) in std::mem::take(&mut self.wanted_trees) {
-            self.grow_one(uv, radius_m, kind);
+            let [x, y] = self.bend.xy_from_uv(uv);
+            let near_wall = (self.buildings.iter()).any(|b| b.footprint.distance_m(x, y) < 0.7 * radius_m + 0.4);
+            let near_tree = (self.trees.iter()).any(|t| (t.x - x).hypot(t.y - y) < 0.62 * (t.radius_m + radius_m));
+            let near_water = (self.ponds.iter()).any(|p| p.zone.distance_m(uv) < 0.6 * radius_m + 0.5);
+            if near_wall || near_tree || near_water {
+                continue;
+            }
+            let seed = self.next_seed();
+            let slender = match kind {
+                TreeKind::Conifer => self.range(2.6, 3.6),
+                _ => self.range(1.9, 2.6),
+            };
+            let height_m = (slender * radius_m + self.range(0.5, 2.5)).min(16.0);
+            let leaf = palette::leaf(self, kind);
+            self.trees.push(Tree {
+                x,
+                y,
+                radius_m,
+                height_m,
+                kind,
+                leaf,
+                seed,
+            });
         }
-    }
-
-    fn grow_one(&mut self, uv: [f64; 2], radius_m: f64, kind: TreeKind) {
-        let [x, y] = self.bend.xy_from_uv(uv);
-        let near_wall = (self.buildings.iter()).any(|b| b.footprint.distance_m(x, y) < 0.7 * radius_m + 0.4);
-        let near_tree = (self.trees.iter()).any(|t| (t.x - x).hypot(t.y - y) < 0.62 * (t.radius_m + radius_m));
-        let near_water = (self.ponds.iter()).any(|p| p.zone.distance_m(uv) < 0.6 * radius_m + 0.5);
-        if near_wall || near_tree || near_water {
-            return;
-        }
-        let seed = self.next_seed();
-        let slender = match kind {
-            TreeKind::Conifer => self.range(2.6, 3.6),
-            _ => self.range(1.9, 2.6),
-        };
-        let height_m = (slender * radius_m + self.range(0.5, 2.5)).min(16.0);
-        let leaf = palette::leaf(self, kind);
-        self.trees.push(Tree {
-            x,
-            y,
-            radius_m,
-            height_m,
-            kind,
-            leaf,
-            seed,
-        });
     }
 
     /// Random kind of tree: seven in ten are broad-leaved.
