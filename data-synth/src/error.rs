@@ -1,5 +1,8 @@
 //! Errors of scene generation.
 
+use std::fmt::Display;
+use std::path::Path;
+
 /// Reason why a scene could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
@@ -17,11 +20,12 @@ impl SynthError {
         move |source| Self::Failed(format!("no rational camera fits the sensor of {image}: {source}"))
     }
 
-    /// Error for a file or folder that cannot be written, with its cause `source`.
-    pub(crate) fn unwritable(path: &std::path::Path, source: impl std::fmt::Display) -> Self {
-        let path = path.display();
-        Self::Failed(format!(
-            "cannot write {path}: {source}; check the folder's permissions and the space left on the disk"
-        ))
+    /// Error for a file or folder that cannot be written, from its cause.
+    pub(crate) fn unwritable<E: Display>(path: &Path) -> impl Fn(E) -> Self {
+        let (path, remedy) = (
+            path.display(),
+            "check the folder's permissions and the space left on the disk",
+        );
+        move |source| Self::Failed(format!("cannot write {path}: {source}; {remedy}"))
     }
 }

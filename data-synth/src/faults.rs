@@ -7,6 +7,7 @@
 use crate::materials::Spectrum;
 use crate::noise::{hash2, normal, stream};
 use crate::request::BandSet;
+use heliosplat_grid::statistics::quantile;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
@@ -91,14 +92,9 @@ pub(crate) fn stretch(counts: &mut [u16], bands: BandSet, seed: u64) -> Stretch 
         gamma,
     };
     for band in 0..bands {
-        let mut known: Vec<u16> = (counts.iter().skip(band).step_by(bands).copied())
-            .filter(|&count| count > 0)
-            .collect();
-        known.sort_unstable();
-        let percentile = |share: f64| {
-            let index = (share * known.len().saturating_sub(1) as f64).round() as usize;
-            known.get(index).map_or(0.0, |&count| f64::from(count))
-        };
+        let known = counts.iter().skip(band).step_by(bands).filter(|&&count| count > 0);
+        let mut known: Vec<f64> = known.map(|&count| f64::from(count)).collect();
+        let mut percentile = |share: f64| quantile(&mut known, share).unwrap_or(0.0);
         let low = percentile(clipped);
         let high = percentile(1.0 - clipped).max(low + 1.0);
         for count in counts.iter_mut().skip(band).step_by(bands).filter(|count| **count > 0) {

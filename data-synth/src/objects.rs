@@ -235,7 +235,7 @@ where
     let size = pixels.len().isqrt() as u32;
     let picture = ImageBuffer::from_fn(size, size, |x, y| of(&pixels[(y * size + x) as usize]));
     let path = staging.path(relative)?;
-    (DynamicImage::from(picture).save(&path)).map_err(|source| SynthError::unwritable(&path, source))
+    (DynamicImage::from(picture).save(&path)).map_err(SynthError::unwritable(&path))
 }
 
 /// Writes captures under one light as linear EXR, and others as PNG for a display.

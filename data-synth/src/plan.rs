@@ -157,7 +157,9 @@ impl Collection {
         for (index, camera) in cameras.into_iter().enumerate() {
             let day = |time: Timestamp| time.as_second().div_euclid(86_400);
             if dates.last().is_none_or(|date| day(date.time) != day(camera.time)) {
-                dates.push(weather_of(&mut random, camera.time, origin.lat_deg));
+                // Days are counted from 1 January 1970; the season depends only on the day of the year.
+                let of_year = (camera.time.as_second() as f64 / 86_400.0).rem_euclid(365.25);
+                dates.push(date_of(&mut random, camera.time, of_year, origin.lat_deg));
             }
             let geometry = geometry_of(&camera.rpc, &frame).map_err(SynthError::camera(&format!("camera {index}")))?;
             let geometry = ViewGeometry {
@@ -259,7 +261,9 @@ fn view_plans(
     let mut order: Vec<usize> = (0..count).collect();
     order.shuffle(random);
     let first_azimuth_deg: f64 = random.random_range(0.0..360.0);
-    let full_px = (FULL_SCENE_FACTOR * image_width_px(request))
+    // Without a requested size, a first guess at the width of the images.
+    let guess_px = 1.3 * request.site.extent_m() / request.gsd();
+    let full_px = (FULL_SCENE_FACTOR * request.size_px.map_or(guess_px, |size| size as f64))
         .max(FULL_SCENE_LEAST_PX)
         // An RPC holds little beyond the scene that it was fitted over.
         .max(request.canvas_px.unwrap_or(0) as f64)
@@ -326,23 +330,6 @@ fn geometry_of(rpc: &Rpc, frame: &LocalFrame) -> Result<ViewGeometry, heliosplat
         full_px: rpc.sample_scale * 2.0,
         seed: 0,
     })
-}
-
-/// The season and the weather of a real date.
-fn weather_of(random: &mut Pcg64Mcg, time: Timestamp, lat_deg: f64) -> DatePlan {
-    const DAY_S: f64 = 86_400.0;
-    const YEAR_DAYS: f64 = 365.25;
-    // Days are counted from 1 January 1970; the season depends only on the day of the year.
-    let day = (time.as_second() as f64 / DAY_S).rem_euclid(YEAR_DAYS);
-    date_of(random, time, day, lat_deg)
-}
-
-/// A first guess at the width of the images, for the size of the full scene.
-fn image_width_px(request: &SatelliteRequest) -> f64 {
-    match request.size_px {
-        Some(size) => size as f64,
-        None => 1.3 * request.site.extent_m() / request.gsd(),
-    }
 }
 
 /// Holds out images at moderate angles on dates that also have training images, so that training images show their

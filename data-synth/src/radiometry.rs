@@ -359,32 +359,31 @@ fn cosine_weighted(normal: &Vector3<f64>, u: f64, turn: f64) -> Option<Vector3<f
 impl LitScene<'_> {
     /// Class and albedo of the hit surface; under snow, the class is that of the surface below it.
     pub(crate) fn albedo(&self, hit: &Hit, season: &Season) -> (Class, Spectrum) {
-        let (class, albedo) = if hit.surface == GROUND {
-            self.ground.albedo(hit.point.x, hit.point.y, season)
-        } else {
-            let surface = &self.surfaces[hit.surface as usize];
-            (surface.finish.class, surface.albedo(hit.point, season))
+        let (class, albedo) = match self.face(hit) {
+            Some(face) => (face.finish.class, face.albedo(hit.point, season)),
+            None => self.ground.albedo(hit.point.x, hit.point.y, season),
         };
         (class, self.ground.snow_on(hit, class).unwrap_or(albedo))
     }
 
     /// The glossy lobe of the hit surface, if it has one and no snow covers it.
     pub(crate) fn lobe(&self, hit: &Hit) -> Option<Lobe> {
-        if hit.surface == GROUND {
-            return None;
-        }
-        let surface = &self.surfaces[hit.surface as usize];
-        let bare = self.ground.snow_on(hit, surface.finish.class).is_none();
-        if bare { gloss::lobe_of(surface, hit) } else { None }
+        let face = self.face(hit)?;
+        let bare = self.ground.snow_on(hit, face.finish.class).is_none();
+        if bare { gloss::lobe_of(face, hit) } else { None }
     }
 
     /// Class of the hit surface.
     pub(crate) fn class(&self, hit: &Hit) -> Class {
-        if hit.surface == GROUND {
-            self.ground.class_at(hit.point.x, hit.point.y)
-        } else {
-            self.surfaces[hit.surface as usize].finish.class
-        }
+        self.face(hit).map_or_else(
+            || self.ground.class_at(hit.point.x, hit.point.y),
+            |face| face.finish.class,
+        )
+    }
+
+    /// The hit surface of a solid; `None` for the terrain.
+    fn face(&self, hit: &Hit) -> Option<&Face> {
+        self.surfaces.get(hit.surface as usize)
     }
 }
 

@@ -217,11 +217,8 @@ impl Delivered<'_> {
         };
         write_mask("shadow", &image.shadow, SHADOW_MEANS)?;
         if view.cloudy {
-            write_mask(
-                "cloud",
-                &image.cloud,
-                "1 where clouds hide a tenth of the pixel or more",
-            )?;
+            let about = "1 where clouds hide a tenth of the pixel or more";
+            write_mask("cloud", &image.cloud, about)?;
         }
         let json = satnerf_json(view, (&camera.crop, camera.canvas), &camera.rpc, self.altitudes_m)
             .map_err(SynthError::camera(name))?;

@@ -1,6 +1,5 @@
 //! GeoTIFF, written tag by tag: rational cameras, georeferencing, GDAL's metadata.
 
-use super::failed;
 use crate::crop::Canvas;
 use crate::error::SynthError;
 use crate::truth_grid::TruthGrid;
@@ -85,13 +84,11 @@ impl<'a> Samples<'a> {
 /// # Errors
 /// `SynthError::Failed` when it cannot be written.
 pub(crate) fn write(path: &Path, raster: &Raster) -> Result<(), SynthError> {
-    let file = File::create(path).map_err(failed(path))?;
-    let mut buffered = BufWriter::new(file);
-    encode(&mut buffered, raster).map_err(|source| SynthError::unwritable(path, source))?;
-    let file = buffered
-        .into_inner()
-        .map_err(|error| failed(path)(error.into_error()))?;
-    file.sync_all().map_err(failed(path))
+    let unwritable = SynthError::unwritable(path);
+    let mut buffered = BufWriter::new(File::create(path).map_err(&unwritable)?);
+    encode(&mut buffered, raster).map_err(SynthError::unwritable(path))?;
+    let file = buffered.into_inner().map_err(|error| unwritable(error.into_error()))?;
+    file.sync_all().map_err(unwritable)
 }
 
 fn encode<W: Write + Seek>(writer: W, raster: &Raster) -> TiffResult<()> {

@@ -6,7 +6,6 @@ pub(crate) mod metadata;
 
 use crate::error::SynthError;
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 
 /// Folder whose content moves into its parent when all of it is complete.
@@ -23,9 +22,9 @@ impl Staging {
     pub(crate) fn new(target: &Path) -> Result<Self, SynthError> {
         let staged = target.join(".synth-part");
         if staged.exists() {
-            fs::remove_dir_all(&staged).map_err(failed(&staged))?;
+            fs::remove_dir_all(&staged).map_err(SynthError::unwritable(&staged))?;
         }
-        fs::create_dir_all(&staged).map_err(failed(&staged))?;
+        fs::create_dir_all(&staged).map_err(SynthError::unwritable(&staged))?;
         Ok(Self {
             target: target.to_owned(),
             staged,
@@ -39,7 +38,7 @@ impl Staging {
     pub(crate) fn path(&self, relative: &str) -> Result<PathBuf, SynthError> {
         let path = self.staged.join(relative);
         if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(failed(folder))?;
+            fs::create_dir_all(folder).map_err(SynthError::unwritable(folder))?;
         }
         Ok(path)
     }
@@ -50,7 +49,7 @@ impl Staging {
     /// `SynthError::Failed` when it cannot be written.
     pub(crate) fn text(&self, relative: &str, text: &str) -> Result<(), SynthError> {
         let path = self.path(relative)?;
-        fs::write(&path, text).map_err(failed(&path))
+        fs::write(&path, text).map_err(SynthError::unwritable(&path))
     }
 
     /// Moves all files into the target.
@@ -70,22 +69,17 @@ impl Drop for Staging {
 }
 
 fn move_into(from: &Path, to: &Path) -> Result<(), SynthError> {
-    fs::create_dir_all(to).map_err(failed(to))?;
-    for entry in fs::read_dir(from).map_err(failed(from))? {
-        let entry = entry.map_err(failed(from))?;
+    fs::create_dir_all(to).map_err(SynthError::unwritable(to))?;
+    for entry in fs::read_dir(from).map_err(SynthError::unwritable(from))? {
+        let entry = entry.map_err(SynthError::unwritable(from))?;
         let (source, target) = (entry.path(), to.join(entry.file_name()));
         if source.is_dir() {
             move_into(&source, &target)?;
         } else {
-            fs::rename(&source, &target).map_err(failed(&target))?;
+            fs::rename(&source, &target).map_err(SynthError::unwritable(&target))?;
         }
     }
     Ok(())
-}
-
-/// Conversion of input and output errors of the file `path`, whose name is in the message.
-pub(crate) fn failed(path: &Path) -> impl Fn(io::Error) -> SynthError {
-    move |source| SynthError::unwritable(path, source)
 }
 
 #[cfg(test)]
