@@ -76,6 +76,16 @@ impl ProjectiveCamera {
         )
     }
 
+    /// Index of the pixel that shows a point, row after row, and the denominator of its projection, which is above zero
+    /// in front of the camera; `None` outside of the image.
+    #[inline]
+    pub fn pixel(&self, p: Vec3) -> Option<(usize, f32)> {
+        let (col, row, denominator) = self.project(p);
+        let (col, row) = (col.round(), row.round());
+        let inside = col >= 0.0 && row >= 0.0 && col < self.width as f32 && row < self.height as f32;
+        inside.then(|| (row as usize * self.width + col as usize, denominator))
+    }
+
     /// Depth of a point, metres along the central ray from the scene centre.
     #[inline]
     pub fn depth(&self, p: Vec3) -> f32 {

@@ -24,6 +24,20 @@ impl Raster {
         }
     }
 
+    /// Raster of the values of `value` by band, column and row.
+    pub fn from_fn(
+        width: usize,
+        height: usize,
+        bands: usize,
+        mut value: impl FnMut(usize, usize, usize) -> f32,
+    ) -> Self {
+        let mut out = Self::filled(width, height, bands, f32::NAN);
+        for (i, slot) in out.values.iter_mut().enumerate() {
+            *slot = value(i / (width * height), i % width, i / width % height);
+        }
+        out
+    }
+
     /// A raster of one band.
     pub fn of_plane(width: usize, height: usize, values: Vec<f32>) -> Self {
         let bands = 1;
@@ -105,26 +119,18 @@ impl Raster {
     /// right and lower edge that fill no block are dropped.
     pub fn downscaled(&self, factor: usize) -> Self {
         let (width, height) = (self.width / factor, self.height / factor);
-        let mut out = Self::filled(width, height, self.bands, f32::NAN);
-        for band in 0..self.bands {
-            for row in 0..height {
-                for col in 0..width {
-                    let (mut sum, mut count) = (0.0, 0);
-                    for r in row * factor..(row + 1) * factor {
-                        for c in col * factor..(col + 1) * factor {
-                            let value = self.at(band, c, r);
-                            if value.is_finite() {
-                                sum += value;
-                                count += 1;
-                            }
-                        }
-                    }
-                    if count > 0 {
-                        out.values[(band * height + row) * width + col] = sum / count as f32;
+        Self::from_fn(width, height, self.bands, |band, col, row| {
+            let (mut sum, mut count) = (0.0, 0);
+            for r in row * factor..(row + 1) * factor {
+                for c in col * factor..(col + 1) * factor {
+                    let value = self.at(band, c, r);
+                    if value.is_finite() {
+                        sum += value;
+                        count += 1;
                     }
                 }
             }
-        }
-        out
+            if count > 0 { sum / count as f32 } else { f32::NAN }
+        })
     }
 }

@@ -343,13 +343,7 @@ impl OrthoPreview {
 /// Raster of every `step`th column and row.
 fn every(raster: &Raster, step: usize) -> Raster {
     let (width, height) = (raster.width.div_ceil(step), raster.height.div_ceil(step));
-    let mut out = Raster::filled(width, height, raster.bands, f32::NAN);
-    for band in 0..raster.bands {
-        for row in 0..height {
-            for col in 0..width {
-                out.values[(band * height + row) * width + col] = raster.at(band, col * step, row * step);
-            }
-        }
-    }
-    out
+    Raster::from_fn(width, height, raster.bands, |band, col, row| {
+        raster.at(band, col * step, row * step)
+    })
 }

@@ -156,10 +156,8 @@ fn paint(model: &ObjectModel, grid: &Grid, mesh: &mut Mesh, progress: &dyn Fn(u6
 
 /// The pixel that shows a place; `None` outside of the image and behind the camera.
 fn pixel(camera: &ProjectiveCamera, place: Vec3) -> Option<usize> {
-    let (col, row, before) = camera.project(place);
-    let inside = |at: f32, size: usize| at > -0.5 && at < size as f32 - 0.5;
-    (before > 0.0 && inside(col, camera.width) && inside(row, camera.height))
-        .then(|| row.round() as usize * camera.width + col.round() as usize)
+    let (pixel, before) = camera.pixel(place)?;
+    (before > 0.0).then_some(pixel)
 }
 
 /// Truncated signed distances to the surface, positive outside, in cells of a box.

@@ -68,11 +68,8 @@ impl StartProbability {
     fn at(&self, nadir: &NadirGrid, cell: usize, altitude_m: f32) -> f32 {
         let (col, row) = (cell % nadir.grid.width, cell / nadir.grid.width);
         let place = nadir.enu.enu(col as f64, row as f64, f64::from(altitude_m));
-        let (col, row, _) = self.nadir.camera.project(Vec3::from(place.map(|metres| metres as f32)));
-        let (col, row) = (col.round(), row.round());
-        let (width, height) = (self.nadir.grid.width, self.nadir.grid.height);
-        let inside = col >= 0.0 && row >= 0.0 && col < width as f32 && row < height as f32;
-        let probability = inside.then(|| self.values[row as usize * width + col as usize]);
+        let pixel = self.nadir.camera.pixel(Vec3::from(place.map(|metres| metres as f32)));
+        let probability = pixel.map(|(pixel, _)| self.values[pixel]);
         probability.filter(|p| p.is_finite()).unwrap_or(UNKNOWN)
     }
 }

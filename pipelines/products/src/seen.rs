@@ -28,12 +28,9 @@ pub fn views(nadir: &NadirGrid, altitude_m: &[f32], model: &ModelFile) -> Witnes
         .map(|i| {
             let x = west + (0.5 + (i % size[0]) as f64) * cell_m;
             let y = north - (0.5 + (i / size[0]) as f64) * cell_m;
-            let (col, row, _) = nadir.camera.project(Vec3::new(x as f32, y as f32, 0.0));
-            let (col, row) = (col.round(), row.round());
-            let inside = col >= 0.0 && row >= 0.0 && col < width as f32 && row < height as f32;
-            let cell = inside.then(|| row as usize * width + col as usize);
-            let cell = cell.filter(|&cell| altitude_m[cell].is_finite());
-            cell.map_or(f32::NAN, |cell| enu(cell)[2] as f32)
+            let pixel = nadir.camera.pixel(Vec3::new(x as f32, y as f32, 0.0));
+            let cell = pixel.filter(|&(cell, _)| altitude_m[cell].is_finite());
+            cell.map_or(f32::NAN, |(cell, _)| enu(cell)[2] as f32)
         })
         .collect();
     let seeing: Vec<&ModelImage> = model.images.iter().filter(|image| image.appearance.is_some()).collect();

@@ -162,25 +162,21 @@ impl Exhibit {
 /// Means of the known values in blocks of `factor` x `factor` cells; NaN for blocks without any.
 pub(super) fn averaged(raster: &Raster, factor: usize) -> Raster {
     let (width, height) = (raster.width.div_ceil(factor), raster.height.div_ceil(factor));
-    let mut out = Raster::filled(width, height, raster.bands, f32::NAN);
-    for band in 0..raster.bands {
-        for row in 0..height {
-            for col in 0..width {
-                let rows = row * factor..((row + 1) * factor).min(raster.height);
-                let (mut sum, mut count) = (0.0f64, 0u32);
-                for r in rows {
-                    for c in col * factor..((col + 1) * factor).min(raster.width) {
-                        let value = raster.at(band, c, r);
-                        if value.is_finite() {
-                            (sum, count) = (sum + f64::from(value), count + 1);
-                        }
-                    }
-                }
-                if count > 0 {
-                    out.values[(band * height + row) * width + col] = (sum / f64::from(count)) as f32;
+    Raster::from_fn(width, height, raster.bands, |band, col, row| {
+        let rows = row * factor..((row + 1) * factor).min(raster.height);
+        let (mut sum, mut count) = (0.0f64, 0u32);
+        for r in rows {
+            for c in col * factor..((col + 1) * factor).min(raster.width) {
+                let value = raster.at(band, c, r);
+                if value.is_finite() {
+                    (sum, count) = (sum + f64::from(value), count + 1);
                 }
             }
         }
-    }
-    out
+        if count > 0 {
+            (sum / f64::from(count)) as f32
+        } else {
+            f32::NAN
+        }
+    })
 }
