@@ -144,10 +144,8 @@ impl Capture {
         }
         let half = |f: &Frame| {
             let c = &f.camera;
-            let reach = (0..2)
-                .map(|k| 0.5 * c.size_px[k] as f64 / c.focal_px[k])
-                .fold(f64::INFINITY, f64::min);
-            c.depth(centre) * reach
+            let [across, down] = [0, 1].map(|k| 0.5 * c.size_px[k] as f64 / c.focal_px[k]);
+            c.depth(centre) * across.min(down)
         };
         let pixel = |f: &Frame| f.camera.depth(centre) / f.camera.focal_px[0].max(f.camera.focal_px[1]);
         let median = |of: &dyn Fn(&Frame) -> f64| {

@@ -43,12 +43,6 @@ pub struct Image {
     pose: Pinhole,
 }
 
-/// Cameras by their number, and the images taken with them.
-struct Model {
-    cameras: BTreeMap<u32, Camera>,
-    images: Vec<Image>,
-}
-
 /// Folder of the model in a capture at `path`, if there is one.
 pub fn folder(path: &Path) -> Option<PathBuf> {
     let folders = FOLDERS.map(|folder| path.join(folder));
@@ -70,14 +64,11 @@ fn file(folder: &Path, part: &str) -> Option<(PathBuf, bool)> {
 /// # Errors
 /// [`CaptureError`] with the file at fault.
 pub fn read(path: &Path, folder: &Path) -> Result<(Vec<FrameSpec>, Vec<Point>), CaptureError> {
-    let model = Model {
-        cameras: part(folder, "cameras", cameras_binary, cameras_text)?,
-        images: part(folder, "images", images_binary, images_text)?,
-    };
+    let cameras = part(folder, "cameras", cameras_binary, cameras_text)?;
+    let images = part(folder, "images", images_binary, images_text)?;
     let points = part(folder, "points3D", points_binary, points_text)?;
-    let images = path.join("images");
-    let images = if images.is_dir() { images.as_path() } else { path };
-    let frames = model.frames(images);
+    let beside = path.join("images");
+    let frames = frames(&cameras, &images, if beside.is_dir() { &beside } else { path });
     let frames = frames.map_err(|what| CaptureError::file(folder, what, "give the images of this model"))?;
     Ok((frames, points))
 }
@@ -108,29 +99,28 @@ fn part<T: Default>(
     })
 }
 
-impl Model {
-    fn frames(&self, folder: &Path) -> Result<Vec<FrameSpec>, String> {
-        let frame = |image: &Image| {
-            let Image { name, camera, pose } = image;
-            let of = self.cameras.get(camera);
-            let (intrinsics, size) = of.ok_or(format!("image {name} has the camera {camera}, which is not there"))?;
-            Ok(FrameSpec {
-                name: plain_name(name),
-                path: find_image(folder, name, None)?,
-                light: None,
-                pose: *pose,
-                intrinsics: *intrinsics,
-                declared_size: Some(*size),
-                lens: Lens::default(),
-            })
-        };
-        let mut frames: Vec<FrameSpec> = self.images.iter().map(frame).collect::<Result<_, String>>()?;
-        if frames.is_empty() {
-            return Err("it has no image".into());
-        }
-        frames.sort_by(|a, b| a.name.cmp(&b.name));
-        Ok(frames)
+/// Images with the cameras that took them, by name; their files are in `folder`.
+fn frames(cameras: &BTreeMap<u32, Camera>, images: &[Image], folder: &Path) -> Result<Vec<FrameSpec>, String> {
+    let frame = |image: &Image| {
+        let Image { name, camera, pose } = image;
+        let of = cameras.get(camera);
+        let (intrinsics, size) = of.ok_or(format!("image {name} has the camera {camera}, which is not there"))?;
+        Ok(FrameSpec {
+            name: plain_name(name),
+            path: find_image(folder, name, None)?,
+            light: None,
+            pose: *pose,
+            intrinsics: *intrinsics,
+            declared_size: Some(*size),
+            lens: Lens::default(),
+        })
+    };
+    let mut frames: Vec<FrameSpec> = images.iter().map(frame).collect::<Result<_, String>>()?;
+    if frames.is_empty() {
+        return Err("it has no image".into());
     }
+    frames.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(frames)
 }
 
 /// Words in the error of a camera with distortion.

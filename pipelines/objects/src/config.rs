@@ -201,15 +201,10 @@ pub struct Parts {
 impl Parts {
     /// A configuration with these parts and no others.
     pub(super) fn of(self, config: &ObjectConfig) -> ObjectConfig {
-        let model = ModelOptions {
-            specular: self.specular,
-            scattering: self.scattering,
-            ..config.model.clone()
-        };
-        ObjectConfig {
-            model,
-            ..config.clone()
-        }
+        let mut config = config.clone();
+        config.model.specular = self.specular;
+        config.model.scattering = self.scattering;
+        config
     }
 }
 

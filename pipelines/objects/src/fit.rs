@@ -59,9 +59,7 @@ pub fn fit(
     checkpoint: Option<LoadedCheckpoint<Plan>>,
 ) -> Result<Fitted, TrainingError> {
     let begun = Instant::now();
-    let planned_before = checkpoint
-        .as_ref()
-        .and_then(|checkpoint| checkpoint.preprocessed.clone());
+    let planned_before = checkpoint.as_ref().and_then(|before| before.preprocessed.clone());
     let part = stage("trials");
     let plan = planned_before.map_or_else(|| plan::plan(capture, &configs.lit, session), Ok)?;
     drop(part);
@@ -121,11 +119,7 @@ pub fn fit(
     let mut file = model::file(capture, kind, preparation, trained.parameters.globals.clone());
     turn_cameras(&mut file.images, &trained.turns);
     Ok(Fitted {
-        model: ObjectModel {
-            model: file.kind.model(),
-            parameters: trained.parameters,
-            file,
-        },
+        model: ObjectModel::new(file, trained.parameters),
         plan,
         start: input.how,
         started,

@@ -2,6 +2,7 @@
 
 use super::pinhole::Pinhole;
 use glam::DVec3;
+use heliosplat::light::Light;
 use std::path::{Component, Path, PathBuf};
 
 /// Largest displacement by the lens that is ignored, pixels.
@@ -73,6 +74,13 @@ pub struct PointLight {
     pub position: DVec3,
     /// Intensity per colour, in the capture's own units; `None` where the files do not state it.
     pub intensity: Option<[f64; 3]>,
+}
+
+impl PointLight {
+    /// Light of the engine, in a frame with the origin `centre`.
+    pub fn seen_from(&self, centre: DVec3) -> Light {
+        Light::Point((self.position - centre).as_vec3())
+    }
 }
 
 /// One image as its files describe it.
@@ -205,11 +213,7 @@ pub(super) fn plain_name(written: &str) -> String {
     let name = written.trim_start_matches("./");
     let ending = Path::new(name).extension().and_then(|e| e.to_str()).unwrap_or_default();
     let known = ["png", "exr", "jpg", "jpeg", "npy"].contains(&ending.to_ascii_lowercase().as_str());
-    let length = if known {
-        name.len() - ending.len() - 1
-    } else {
-        name.len()
-    };
+    let length = name.len() - if known { ending.len() + 1 } else { 0 };
     name[..length].to_owned()
 }
 

@@ -69,11 +69,7 @@ pub(super) fn psnr_probe(capture: &Capture, file: ObjectFile) -> Option<Box<Prob
         return None;
     }
     Some(Box::new(move |parameters: &Parameters| {
-        let model = ObjectModel {
-            model: file.kind.model(),
-            parameters: parameters.clone(),
-            file: file.clone(),
-        };
+        let model = ObjectModel::new(file.clone(), parameters.clone());
         let scores = frames.iter().filter_map(|frame| compare(&model, frame)?.score);
         let psnrs: Vec<f64> = scores.map(|score| score.psnr).collect();
         (!psnrs.is_empty()).then(|| Accuracy {
@@ -136,13 +132,8 @@ pub fn picture_of(raster: &Raster, linear: bool) -> RgbImage {
 pub fn normal_picture(normals: &Raster) -> RgbImage {
     RgbImage::from_fn(normals.width as u32, normals.height as u32, |col, row| {
         let n = [0, 1, 2].map(|k| normals.at(k, col as usize, row as usize));
-        Rgb(n.map(|x| {
-            if n == [0.0; 3] {
-                0
-            } else {
-                (127.5 * (x + 1.0)).round() as u8
-            }
-        }))
+        let byte = |x: f32| (127.5 * (x + 1.0)).round() as u8;
+        Rgb(if n == [0.0; 3] { [0; 3] } else { n.map(byte) })
     })
 }
 

@@ -157,6 +157,16 @@ pub struct ObjectModel {
 }
 
 impl ObjectModel {
+    /// The model that `file` describes, with these parameters.
+    pub(super) fn new(file: ObjectFile, parameters: Parameters) -> Self {
+        let model = file.kind.model();
+        Self {
+            file,
+            model,
+            parameters,
+        }
+    }
+
     /// The image of a frame as the model knows it, with the camera that training left it; the frame's own where the
     /// model does not know it.
     pub(super) fn image_of(&self, frame: &Frame) -> ObjectImage {
@@ -198,14 +208,9 @@ impl ObjectModel {
     /// Unit normals at a camera's pixels, in the frame of the cameras: the model's own normals where it has them, else
     /// those of the Gaussians; zero on the background. `None` when the model lies behind the camera.
     pub fn normals(&self, image: &ObjectImage) -> Option<Raster> {
-        let camera = image.camera.projective(self.file.centre)?;
         let own = self.file.kind.showing(Component::Normal).map(|kind| kind.model());
         let model = own.as_deref().unwrap_or(&*self.model);
-        let options = PassOptions {
-            projection: self.file.projection,
-            ..PassOptions::default()
-        };
-        let maps = render(model, &self.parameters, &camera, None, None, options).maps;
+        let (camera, maps, _) = self.look(model, &image.camera, None)?;
         // The first three channels are colours, followed by the model's own normals or those of the Gaussians.
         let mut out = Raster::filled(camera.width, camera.height, 3, 0.0);
         for i in 0..out.plane_len() {
@@ -223,13 +228,8 @@ impl ObjectModel {
     pub fn render_as(&self, model: &dyn SceneModel, image: &ObjectImage) -> Option<Raster> {
         let (_, maps, mut seen) = self.look(model, &image.camera, self.light(image))?;
         let behind = self.file.preparation.background;
-        for (k, strength) in self
-            .file
-            .preparation
-            .strength(image.light.as_ref())
-            .into_iter()
-            .enumerate()
-        {
+        let strengths = self.file.preparation.strength(image.light.as_ref());
+        for (k, strength) in strengths.into_iter().enumerate() {
             if strength != 1.0 {
                 for (value, alpha) in seen.plane_mut(k).iter_mut().zip(&maps.alpha) {
                     let open = (1.0 - alpha) * behind[k];
@@ -247,9 +247,7 @@ impl ObjectModel {
     }
 
     fn light(&self, image: &ObjectImage) -> Option<Light> {
-        image
-            .light
-            .map(|light| Light::Point((light.position - self.file.centre).as_vec3()))
+        image.light.map(|light| light.seen_from(self.file.centre))
     }
 
     fn look(
@@ -335,17 +333,11 @@ pub(super) fn save(folder: &Path, texts: &[(&str, &str)], model: &ObjectModel) -
 /// When a file is missing or damaged.
 pub fn load(folder: &Path) -> Result<ObjectModel, RunError> {
     let file = parsed(folder, MODEL, ObjectFile::parse)?;
-    let model = file.kind.model();
     let (ply_path, bytes) = read_gaussians(folder, file.gaussians_sha256.as_deref())?;
-    let gaussians = splat_ply::decode(&bytes, model.feature_groups()).map_err(|e| damaged(&ply_path, e))?;
-    Ok(ObjectModel {
-        parameters: Parameters {
-            gaussians,
-            globals: file.globals.clone(),
-        },
-        model,
-        file,
-    })
+    let features = file.kind.model().feature_groups();
+    let gaussians = splat_ply::decode(&bytes, features).map_err(|e| damaged(&ply_path, e))?;
+    let globals = file.globals.clone();
+    Ok(ObjectModel::new(file, Parameters { gaussians, globals }))
 }
 
 /// Models that render one component of the light each, with their names.

@@ -170,20 +170,15 @@ pub fn plan(capture: &Capture, config: &ObjectConfig, session: &Session) -> Resu
     progress.set(1);
     if may.specular {
         let without = trials.best.0.1;
-        let with = Parts {
-            specular: true,
-            ..without
-        };
+        let mut with = without;
+        with.specular = true;
         // A model of material is ahead of one of radiance by its normals already; that is not gloss.
         trials.compare("gloss", (glossy, with), (glossy != dull).then_some((glossy, without)))?;
         progress.set(if olat { 2 } else { 3 });
     }
     if may.scattering {
-        let (kind, without) = trials.best.0;
-        let with = Parts {
-            scattering: true,
-            ..without
-        };
+        let (kind, mut with) = trials.best.0;
+        with.scattering = true;
         trials.compare("scattering", (kind, with), None)?;
         progress.set(3);
     }

@@ -139,12 +139,8 @@ fn begin_reflective(
 
 /// The quaternion that turns the z axis to a seed's normal.
 fn frame_of(seed: &Seed) -> [f32; 4] {
-    let normal = if seed.normal == Vec3::ZERO {
-        Vec3::Z
-    } else {
-        seed.normal
-    };
-    Quat::from_rotation_arc(Vec3::Z, normal).to_array()
+    let normal = Some(seed.normal).filter(|normal| *normal != Vec3::ZERO);
+    Quat::from_rotation_arc(Vec3::Z, normal.unwrap_or(Vec3::Z)).to_array()
 }
 
 /// Inputs of a training.
@@ -164,15 +160,8 @@ pub(super) struct FitInput {
 /// Inputs of a fit of a model of `kind` to some frames of `capture`.
 pub(super) fn input(capture: &Capture, kind: ModelKind, config: &ObjectConfig, frames: &[&Frame]) -> FitInput {
     let preparation = preparation(capture, kind, config);
-    let (centre, half_size) = (capture.centre, capture.half_size);
-    let start = start::start(
-        frames,
-        &capture.points,
-        centre,
-        half_size,
-        &config.start,
-        config.train.seed,
-    );
+    let (points, centre, half_size) = (&capture.points, capture.centre, capture.half_size);
+    let start = start::start(frames, points, centre, half_size, &config.start, config.train.seed);
     let (kind, parameters) = begin(capture, kind, config, &preparation, &start);
     FitInput {
         kind,

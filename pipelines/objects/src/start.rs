@@ -62,10 +62,8 @@ struct Sight<'a> {
 impl Sight<'_> {
     /// The pixel that shows a point, if any does.
     fn pixel(&self, point: Vec3) -> Option<usize> {
-        let (col, row, ahead) = self.camera.project(point);
-        let (col, row) = (col.round(), row.round());
-        let inside = col >= 0.0 && row >= 0.0 && col < self.camera.width as f32 && row < self.camera.height as f32;
-        (ahead > 1e-6 && inside).then(|| row as usize * self.camera.width + col as usize)
+        let (pixel, ahead) = self.camera.pixel(point)?;
+        (ahead > 1e-6).then_some(pixel)
     }
 
     fn covers(&self, pixel: usize) -> bool {
@@ -108,31 +106,22 @@ pub fn start(
         };
         shaken.par_iter().with_min_len(256).map(seed).collect()
     };
-    if known && sights.len() > 1 {
-        let hull = Hull::about(&sights, half_size, options.gaussians);
-        if !hull.shell.is_empty() {
-            return Start {
-                seeds: seeds_at(hull.shell, 0.5 * hull.cell, SPREAD * hull.cell),
-                on_hull: true,
-                how: "on the visual hull",
-            };
+    let hull = (known && sights.len() > 1).then(|| Hull::about(&sights, half_size, options.gaussians));
+    let hull = hull.filter(|hull| !hull.shell.is_empty());
+    let on_hull = hull.is_some();
+    let (seeds, how) = if let Some(Hull { cell, shell }) = hull {
+        (seeds_at(shell, 0.5 * cell, SPREAD * cell), "on the visual hull")
+    } else {
+        let seeds = seeds_of(points, centre, half_size, options.gaussians);
+        let count = options.gaussians.max(1);
+        let anywhere = vec![(DVec3::ZERO, Vec3::ZERO); count];
+        let spread = half_size / (count as f64).cbrt();
+        match seeds.len() >= LEAST_POINTS {
+            true => (seeds, "on the points of the reconstruction"),
+            false => (seeds_at(anywhere, 2.0 * half_size, spread), "anywhere in sight"),
         }
-    }
-    let seeds = seeds_of(points, centre, half_size, options.gaussians);
-    if seeds.len() >= LEAST_POINTS {
-        return Start {
-            seeds,
-            on_hull: false,
-            how: "on the points of the reconstruction",
-        };
-    }
-    let side = (options.gaussians.max(1) as f64).cbrt();
-    let spots = vec![(DVec3::ZERO, Vec3::ZERO); options.gaussians.max(1)];
-    Start {
-        seeds: seeds_at(spots, 2.0 * half_size, half_size / side),
-        on_hull: false,
-        how: "anywhere in sight",
-    }
+    };
+    Start { seeds, on_hull, how }
 }
 
 /// Seeds on the points inside the cube of half side `half_size` around `centre`, evenly thinned to `most`.

@@ -1,7 +1,7 @@
 //! An object training from a capture to a finished run, stage by stage: read ([`open`]) → plan, start and fit ([`fit`])
 //! → save ([`run`]) → evaluate ([`measure`]).
 
-use crate::capture::{Capture, IMAGE_BYTES};
+use crate::capture::{Capture, Frame, IMAGE_BYTES};
 use crate::config::ObjectConfigs;
 use crate::error::ObjectError;
 use crate::fit::{self, Fitted};
@@ -89,10 +89,8 @@ pub fn train(
     };
     drop(part);
     let steps = configs.lit.train.iterations as f64;
-    let _whole = session.whole(
-        "train",
-        &[("plan", 0.4 * steps), ("train", steps), ("products", 0.1 * steps)],
-    );
+    let parts = [("plan", 0.4 * steps), ("train", steps), ("products", 0.1 * steps)];
+    let _whole = session.whole("train", &parts);
     let fitted = fit::fit(
         &capture,
         &configs,
@@ -158,13 +156,11 @@ fn identity(
 }
 
 fn hashes(capture: &Capture) -> Result<Vec<Input>, RunError> {
-    let inputs = capture.frames.par_iter().map(|frame| {
-        Ok(Input {
-            path: frame.path.clone(),
-            sha256: hash(&frame.path)?,
-        })
-    });
-    inputs.collect()
+    let input = |frame: &Frame| {
+        let (path, sha256) = (frame.path.clone(), hash(&frame.path)?);
+        Ok(Input { path, sha256 })
+    };
+    capture.frames.par_iter().map(input).collect()
 }
 
 fn add_fit(metrics: &mut Value, fitted: &Fitted, seconds: f64) {

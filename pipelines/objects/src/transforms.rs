@@ -4,6 +4,7 @@
 //! have, and SSS-GS, whose frames hold a list of lights with an image for each. Keys are read per frame: nothing is
 //! carried over from the frame before. `docs/guide/objects.md` lists the keys.
 
+use super::colmap;
 use super::error::CaptureError;
 use super::frame_spec::{
     FrameSpec, Intrinsics, Lens, PointLight, UNDISTORT, find_image, inside, plain_name, sound_size,
@@ -83,32 +84,27 @@ impl<'a> Reader<'a> {
         })
     }
 
+    fn fault(&self, what: impl std::fmt::Display, remedy: &'static str) -> CaptureError {
+        CaptureError::file(self.path, what, remedy)
+    }
+
     fn frames(&self) -> Result<Vec<FrameSpec>, CaptureError> {
         let remedy = "a transforms file has a list `frames` with a `file_path` and a `transform_matrix` each";
         let frames = self.top.get("frames").and_then(Value::as_array);
-        let frames = frames.ok_or_else(|| CaptureError::file(self.path, "it has no list `frames`", remedy))?;
+        let frames = frames.ok_or_else(|| self.fault("it has no list `frames`", remedy))?;
         let mut all = Vec::new();
         for (number, frame) in frames.iter().enumerate() {
             let specs = frame.as_object().ok_or_else(|| "it is not an object".to_owned());
             let specs = specs.and_then(|frame| self.frame(frame));
-            all.extend(specs.map_err(|what| {
-                CaptureError::file(
-                    self.path,
-                    format!("frame {number}: {what}"),
-                    "correct or remove the frame",
-                )
-            })?);
+            let wrong = |what| self.fault(format!("frame {number}: {what}"), "correct or remove the frame");
+            all.extend(specs.map_err(wrong)?);
             if all.len() > MOST_FRAMES {
-                return Err(CaptureError::file(
-                    self.path,
-                    format!("it lists over {MOST_FRAMES} images"),
-                    "give fewer",
-                ));
+                return Err(self.fault(format!("it lists over {MOST_FRAMES} images"), "give fewer"));
             }
         }
         all.retain(|spec| !self.excluded.contains(&spec.name));
         if all.is_empty() {
-            return Err(CaptureError::file(self.path, "it lists no image", remedy));
+            return Err(self.fault("it lists no image", remedy));
         }
         Ok(all)
     }
@@ -128,26 +124,20 @@ impl<'a> Reader<'a> {
             declared_size,
             lens,
         };
-        let Some(paths) = frame.get("file_paths").filter(|v| !v.is_null()) else {
+        let Some(paths) = present(frame, "file_paths") else {
             let (written, path) = self.image_of(frame)?;
             return Ok(vec![spec(written, path, light_of(frame)?)]);
         };
         let paths = paths.as_array().ok_or("`file_paths` is not a list")?;
-        let none = Vec::new();
-        let list = |key: &str| -> Result<&Vec<Value>, String> {
-            match frame.get(key) {
-                None | Some(Value::Null) => Ok(&none),
-                Some(value) => value.as_array().ok_or(format!("`{key}` is not a list")),
-            }
+        let list = |key: &str| -> Result<&[Value], String> {
+            let list = present(frame, key).map(|list| list.as_array().ok_or(format!("`{key}` is not a list")));
+            Ok(list.transpose()?.map_or(&[], Vec::as_slice))
         };
         let (positions, intensities) = (list("light_positions")?, list("light_intensities")?);
         for (key, values) in [("light_positions", positions), ("light_intensities", intensities)] {
             if !values.is_empty() && values.len() != paths.len() {
-                return Err(format!(
-                    "`{key}` has {} entries for {} images",
-                    values.len(),
-                    paths.len()
-                ));
+                let (entries, images) = (values.len(), paths.len());
+                return Err(format!("`{key}` has {entries} entries for {images} images"));
             }
         }
         let mut specs = Vec::with_capacity(paths.len());
@@ -158,11 +148,8 @@ impl<'a> Reader<'a> {
                 let intensity = intensities.get(i).map(intensity).transpose()?;
                 Ok(PointLight { position, intensity })
             });
-            specs.push(spec(
-                written,
-                find_image(self.folder, written, None)?,
-                light.transpose()?,
-            ));
+            let path = find_image(self.folder, written, None)?;
+            specs.push(spec(written, path, light.transpose()?));
         }
         Ok(specs)
     }
@@ -176,10 +163,8 @@ impl<'a> Reader<'a> {
             && !path.components().any(|part| part == Component::ParentDir)
             && path.is_file()
         {
-            return Ok((
-                text("file_path").or(text("img_path")).unwrap_or_default(),
-                path.to_owned(),
-            ));
+            let written = text("file_path").or(text("img_path")).unwrap_or_default();
+            return Ok((written, path.to_owned()));
         }
         let written = text("file_path").ok_or("it has no `file_path`")?;
         Ok((written, find_image(self.folder, written, text("file_ext"))?))
@@ -188,7 +173,7 @@ impl<'a> Reader<'a> {
     /// Intrinsics of the frame, else of the whole file.
     fn intrinsics(&self, frame: &Object) -> Result<Intrinsics, String> {
         for from in [frame, self.top] {
-            if let Some(value) = from.get("camera_intrinsics").filter(|v| !v.is_null()) {
+            if let Some(value) = present(from, "camera_intrinsics") {
                 let n = numbers("camera_intrinsics", value, 4)?;
                 // Centre first.
                 return Intrinsics::given([n[2], n[3]], Some([n[0], n[1]]));
@@ -218,19 +203,13 @@ impl<'a> Reader<'a> {
             return Err(format!("its `camera_model` is {model}; {UNDISTORT}"));
         }
         let coefficient = |key: &str| -> Result<f64, String> {
-            let value = number(frame, key)?;
-            Ok(value
-                .map_or_else(|| number(self.top, key), |own| Ok(Some(own)))?
-                .unwrap_or(0.0))
+            let own = number(frame, key)?;
+            own.map_or_else(|| Ok(number(self.top, key)?.unwrap_or(0.0)), Ok)
         };
+        let [k1, k2, k3, k4, p1, p2] = ["k1", "k2", "k3", "k4", "p1", "p2"].map(coefficient);
         Ok(Lens {
-            radial: [
-                coefficient("k1")?,
-                coefficient("k2")?,
-                coefficient("k3")?,
-                coefficient("k4")?,
-            ],
-            tangential: [coefficient("p1")?, coefficient("p2")?],
+            radial: [k1?, k2?, k3?, k4?],
+            tangential: [p1?, p2?],
         })
     }
 
@@ -240,8 +219,8 @@ impl<'a> Reader<'a> {
             return Ok(None);
         };
         let path = inside(written).map(|path| self.folder.join(path));
-        let path = path.map_err(|what| CaptureError::file(self.path, what, "correct `ply_file_path`"))?;
-        Ok(Some(path))
+        path.map(Some)
+            .map_err(|what| self.fault(what, "correct `ply_file_path`"))
     }
 
     fn declared_size(&self, frame: &Object) -> Result<Option<[f64; 2]>, String> {
@@ -259,36 +238,37 @@ impl<'a> Reader<'a> {
 /// `transform_matrix`, or the refined pose of GS³ (`R_opt`, `T_opt`: world to camera in OpenCV's axes, the rotation
 /// transposed).
 fn pose(frame: &Object) -> Result<Pinhole, String> {
-    let present = |key: &str| frame.get(key).filter(|v| !v.is_null());
     let bad = "spans no space, is mirrored, or holds numbers beyond reason";
-    if let (Some(r), Some(t)) = (present("R_opt"), present("T_opt")) {
-        let rows = matrix("R_opt", r, 3, 3)?;
-        let column = |k: usize| DVec3::new(rows[0][k], rows[1][k], rows[2][k]);
-        let world_from_camera = DMat3::from_cols(column(0), -column(1), -column(2));
-        let eye = -(DMat3::from_cols(column(0), column(1), column(2)) * three("T_opt", t)?);
-        return Pinhole::from_opengl(world_from_camera, eye).ok_or(format!("R_opt {bad}"));
+    if let (Some(r), Some(t)) = (present(frame, "R_opt"), present(frame, "T_opt")) {
+        let world_from_camera = world_from_camera(&matrix("R_opt", r, 3, 3)?);
+        return colmap::pose(world_from_camera, three("T_opt", t)?).ok_or(format!("R_opt {bad}"));
     }
-    let value = present("transform_matrix").ok_or("it has no `transform_matrix`")?;
+    let value = present(frame, "transform_matrix").ok_or("it has no `transform_matrix`")?;
     let rows = matrix("transform_matrix", value, 3, 4)?;
-    let column = |k: usize| DVec3::new(rows[0][k], rows[1][k], rows[2][k]);
-    let world_from_camera = DMat3::from_cols(column(0), column(1), column(2));
-    Pinhole::from_opengl(world_from_camera, column(3)).ok_or(format!("transform_matrix {bad}"))
+    Pinhole::from_opengl(world_from_camera(&rows), column(&rows, 3)).ok_or(format!("transform_matrix {bad}"))
+}
+
+fn world_from_camera(rows: &[Vec<f64>]) -> DMat3 {
+    DMat3::from_cols(column(rows, 0), column(rows, 1), column(rows, 2))
+}
+
+fn column(rows: &[Vec<f64>], k: usize) -> DVec3 {
+    DVec3::new(rows[0][k], rows[1][k], rows[2][k])
 }
 
 /// `pl_pos` with `pl_intensity`, or `light` with `position` and `intensity`; `null` is no light.
 fn light_of(frame: &Object) -> Result<Option<PointLight>, String> {
-    let present = |object: &'_ Object, key: &str| object.get(key).filter(|v| !v.is_null()).cloned();
+    let light = || frame.get("light").and_then(Value::as_object);
     let (position, strength) = match present(frame, "pl_pos") {
         Some(position) => (Some(position), present(frame, "pl_intensity")),
-        None => match frame.get("light").and_then(Value::as_object) {
-            Some(light) => (present(light, "position"), present(light, "intensity")),
-            None => (None, None),
-        },
+        None => light().map_or((None, None), |light| {
+            (present(light, "position"), present(light, "intensity"))
+        }),
     };
     let Some(position) = position else { return Ok(None) };
     Ok(Some(PointLight {
-        position: three("pl_pos", &position)?,
-        intensity: strength.as_ref().map(intensity).transpose()?,
+        position: three("pl_pos", position)?,
+        intensity: strength.map(intensity).transpose()?,
     }))
 }
 
@@ -304,11 +284,16 @@ fn intensity(value: &Value) -> Result<[f64; 3], String> {
         .ok_or(format!("a light of intensity {all:?} is none"))
 }
 
+/// Value of a key; `None` where it is absent or null.
+fn present<'a>(object: &'a Object, key: &str) -> Option<&'a Value> {
+    object.get(key).filter(|value| !value.is_null())
+}
+
 fn number(object: &Object, key: &str) -> Result<Option<f64>, String> {
-    match object.get(key) {
-        None | Some(Value::Null) => Ok(None),
-        Some(value) => value.as_f64().map(Some).ok_or(format!("`{key}` is not a number")),
-    }
+    let value = present(object, key);
+    value
+        .map(|value| value.as_f64().ok_or(format!("`{key}` is not a number")))
+        .transpose()
 }
 
 fn numbers(key: &str, value: &Value, count: usize) -> Result<Vec<f64>, String> {

@@ -95,15 +95,8 @@ pub(super) fn fit(
     let (mut sum, mut count) = (0.0f64, 0usize);
     for (n, frame) in all.iter().enumerate().filter(|(n, _)| kept(*n)) {
         let Some(view) = view(frame, n) else { continue };
-        let seen = render(
-            &*model,
-            &parameters,
-            &view.camera,
-            view.light,
-            None,
-            PassOptions::default(),
-        )
-        .image;
+        let options = PassOptions::default();
+        let seen = render(&*model, &parameters, &view.camera, view.light, None, options).image;
         let mut of_image = [0.0f64; PIECES * PIECES];
         let (width, plane) = (seen.width, seen.plane_len());
         for (i, (a, b)) in seen.values.iter().zip(&view.image.values).enumerate() {

@@ -5,7 +5,6 @@ use super::config::Background;
 use super::frame_spec::PointLight;
 use super::pixels::{Encoding, Picture};
 use glam::DVec3;
-use heliosplat::light::Light;
 use heliosplat::model::View;
 use heliosplat::shade::display;
 use heliosplat::{ProjectiveCamera, Raster};
@@ -125,9 +124,7 @@ pub fn view(frame: &Frame, centre: DVec3, preparation: &Preparation, appearance:
         name: frame.name.clone(),
         camera: frame.camera.projective(centre)?,
         weight: vec![1.0; image.plane_len()],
-        light: frame
-            .light
-            .map(|light| Light::Point((light.position - centre).as_vec3())),
+        light: frame.light.map(|light| light.seen_from(centre)),
         appearance,
         visibility_prior: None,
         ceiling: Vec::new(),
@@ -145,36 +142,14 @@ fn cropped(view: View) -> View {
     let coverage = view.image.plane(COVERAGE_BAND);
     let row_is_covered = |&row: &usize| coverage[row * width..(row + 1) * width].iter().any(|&c| c > 0.0);
     let column_is_covered = |&col: &usize| coverage[col..].iter().step_by(width).any(|&c| c > 0.0);
-    let span = |first: Option<usize>, last: Option<usize>, count: usize| {
-        let (first, last) = (first?, last?);
+    let span = |is_covered: &dyn Fn(&usize) -> bool, count: usize| {
+        let (first, last) = ((0..count).find(is_covered)?, (0..count).rfind(is_covered)?);
         Some(first.saturating_sub(MARGIN_PX)..(last + 1 + MARGIN_PX).min(count))
     };
-    let rows = span(
-        (0..height).find(row_is_covered),
-        (0..height).rfind(row_is_covered),
-        height,
-    );
-    let cols = span(
-        (0..width).find(column_is_covered),
-        (0..width).rfind(column_is_covered),
-        width,
-    );
-    let Some((rows, cols)) = rows.zip(cols) else {
+    let Some((rows, cols)) = span(&row_is_covered, height).zip(span(&column_is_covered, width)) else {
         return view;
     };
-    let mut image = Raster {
-        width: cols.len(),
-        height: rows.len(),
-        bands: view.image.bands,
-        values: Vec::with_capacity(view.image.bands * rows.len() * cols.len()),
-    };
-    for band in 0..image.bands {
-        for row in rows.clone() {
-            let start = row * width;
-            let values = &view.image.plane(band)[start + cols.start..start + cols.end];
-            image.values.extend_from_slice(values);
-        }
-    }
+    let image = view.image.part((cols.start, rows.start), (cols.len(), rows.len()));
     let moved = view.camera.shifted(-(cols.start as f32), -(rows.start as f32));
     View {
         camera: ProjectiveCamera {
