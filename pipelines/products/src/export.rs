@@ -57,7 +57,7 @@ pub struct Request {
 }
 
 /// A file or folder that was written.
-#[derive(Debug, Clone, serde::Serialize)]
+#[derive(Debug, Clone, Default, serde::Serialize)]
 pub struct Written {
     /// Kind of the file: `ply`, `splats`, `mesh`, `tiles`.
     pub kind: &'static str,
@@ -239,7 +239,9 @@ pub fn write(subject: &Subject, request: &Request) -> Result<Export, ExportError
         }
         if let Some(path) = &request.splats {
             let bytes = splats::glb(&lit.splats, of_splats.clone())?;
-            written.push(write_one(path, "splats", &bytes, Some(lit.splats.len()), None)?);
+            let splats = Some(lit.splats.len());
+            let one = write_one(path, "splats", &bytes)?;
+            written.push(Written { splats, ..one });
         }
         if let Some(folder) = tiles_of_splats {
             let grow = |write: &mut WriteFile<_>| Ok(Some(tiles::of_splats(lit.splats.clone(), write)?));
@@ -256,7 +258,8 @@ pub fn write(subject: &Subject, request: &Request) -> Result<Export, ExportError
             let dressed = ground.whole(of_mesh.clone())?;
             let Dressed { glb, triangles, .. } =
                 dressed.ok_or_else(|| ExportError::NoSurface(subject.folder().to_owned()))?;
-            written.push(write_one(path, "mesh", &glb, None, Some(triangles))?);
+            let (triangles, one) = (Some(triangles), write_one(path, "mesh", &glb)?);
+            written.push(Written { triangles, ..one });
         }
         if let Some(folder) = tiles_of_mesh {
             let mut triangles = 0;
@@ -287,22 +290,15 @@ fn with(a: &Value, b: &Value) -> Value {
     Value::Object(members.map(|(key, value)| (key.clone(), value.clone())).collect())
 }
 
-fn write_one(
-    path: &Path,
-    kind: &'static str,
-    bytes: &[u8],
-    splats: Option<usize>,
-    triangles: Option<usize>,
-) -> Result<Written, ExportError> {
+fn write_one(path: &Path, kind: &'static str, bytes: &[u8]) -> Result<Written, ExportError> {
     write_atomically(path, bytes)?;
     Ok(Written {
         kind,
         path: path.to_owned(),
         bytes: bytes.len() as u64,
         files: 1,
-        splats,
-        triangles,
         levels: 1,
+        ..Written::default()
     })
 }
 
@@ -315,8 +311,9 @@ fn write_ply(path: &Path, lit: &Lit, said: &Value) -> Result<Written, ExportErro
     let comments: Vec<String> = members.map(|(key, value)| format!("{key} {value}")).collect();
     write_atomically(Path::new(&sidecar), text.as_bytes())?;
     let bytes = splat_ply::encode(&splats::table(&lit.splats), &comments);
-    let one = write_one(path, "ply", &bytes, Some(lit.splats.len()), None)?;
+    let one = write_one(path, "ply", &bytes)?;
     Ok(Written {
+        splats: Some(lit.splats.len()),
         bytes: one.bytes + text.len() as u64,
         files: 2,
         ..one
@@ -347,9 +344,8 @@ fn write_tiles(
             path: folder.to_owned(),
             bytes,
             files,
-            splats: None,
-            triangles: None,
             levels: root.depth(),
+            ..Written::default()
         })
     })
 }

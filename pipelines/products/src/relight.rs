@@ -274,10 +274,8 @@ fn exposure(model: &LoadedModel) -> String {
     let image = images.find(|image| image.appearance == Some(reference));
     let counts = |value: f32| format!("{:.0}", f64::from(value) * model.file.counts_per_unit);
     let kept: Vec<String> = path_radiance(model).into_iter().map(counts).collect();
-    let (image, kept) = (
-        image.map_or("the reference image", |image| &image.name),
-        kept.join(", "),
-    );
+    let image = image.map_or("the reference image", |image| &image.name);
+    let kept = kept.join(", ");
     format!("counts of {image} under this sun, its path radiance of {kept} kept")
 }
 

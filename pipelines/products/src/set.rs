@@ -125,11 +125,8 @@ pub fn write(
         surface = surface.above(geoid)?;
     }
     if surface.completeness() == 0.0 {
-        let (name, reason) = (
-            nadir.grid.crs.name().to_owned(),
-            "nothing of the run falls on its grid".into(),
-        );
-        return Err(RasterError::Transform(name, reason).into());
+        let (name, reason) = (nadir.grid.crs.name(), "nothing of the run falls on its grid");
+        return Err(RasterError::Transform(name.to_owned(), reason.into()).into());
     }
     let above = Viewpoint::above(model, &nadir);
     let sun = request.sun.filter(|_| model.file.has_light());

@@ -51,7 +51,7 @@ impl Asset {
     /// Asset of a raster: key, file and title, its bands, the encoding of their values in the file, the ground sampling
     /// distance, metres, and the sun of the values, if any.
     pub fn raster(
-        (key, file, title): (&str, &str, &str),
+        names: (&str, &str, &str),
         raster: &Raster,
         bands: &[Band],
         numbers: Numbers,
@@ -59,16 +59,12 @@ impl Asset {
         sun: Option<&SunPosition>,
     ) -> Self {
         let described = |(index, band)| describe(raster.plane(index), band, numbers, gsd_m);
-        let described: Vec<Value> = bands.iter().enumerate().map(described).collect();
-        let mut value = json!({
-            "href": located(file), "title": title, "type": COG, "roles": ["data"],
-            "bands": described,
-        });
+        let mut asset = Self::other(names, COG, "data");
+        asset.value["bands"] = bands.iter().enumerate().map(described).collect();
         if let Some(sun) = sun {
-            insert_sun(&mut value, sun);
+            insert_sun(&mut asset.value, sun);
         }
-        let (key, file) = (key.into(), file.into());
-        Self { key, file, value }
+        asset
     }
 
     /// Asset of a file other than a raster: key, file and title, media type and role.
@@ -76,7 +72,7 @@ impl Asset {
         Self {
             key: key.into(),
             file: file.into(),
-            value: json!({"href": format!("./{file}"), "title": title, "type": media_type, "roles": [role]}),
+            value: json!({"href": located(file), "title": title, "type": media_type, "roles": [role]}),
         }
     }
 

@@ -120,7 +120,6 @@ impl Style {
     pub fn of_joined(qmls: &[String]) -> Option<Self> {
         let mut styles = qmls.iter().filter_map(|qml| Self::read(qml));
         let first = styles.next()?;
-        let wider = |[low, high]: [f32; 2], by: [f32; 2]| [low.min(by[0]), high.max(by[1])];
         Some(styles.fold(first, |whole, part| match (whole, part) {
             (Self::Heights(a), Self::Heights(b)) => Self::Heights(wider(a, b)),
             (Self::Amounts(a), Self::Amounts(b)) => Self::Amounts(wider(a, b)),
@@ -138,26 +137,26 @@ impl Style {
 
     /// Renderer of the style and its display settings, as XML.
     fn pipe(&self) -> String {
-        let (template, [low, high]) = match self {
-            Self::Heights(range) | Self::Amounts(range) => (include_str!("style/heights.xml"), *range),
-            Self::Differences(most) => (include_str!("style/heights.xml"), [-most, *most]),
-            Self::Shades(range) => (include_str!("style/shades.xml"), *range),
-            Self::Colours(_, range) => (include_str!("style/colours.xml"), *range),
-            Self::Mask(..) => (include_str!("style/mask.xml"), [0.0, 1.0]),
+        const RAMP: &str = include_str!("style/heights.xml");
+        let (template, [low, high], colours): (_, _, &[&str]) = match self {
+            Self::Heights(range) => (RAMP, *range, &GROUND),
+            Self::Amounts(range) => (RAMP, *range, &SUN),
+            Self::Differences(most) => (RAMP, [-most, *most], &FELL_AND_ROSE),
+            Self::Shades(range) => (include_str!("style/shades.xml"), *range, &[]),
+            Self::Colours(_, range) => (include_str!("style/colours.xml"), *range, &[]),
+            Self::Mask(..) => (include_str!("style/mask.xml"), [0.0, 1.0], &[]),
         };
         let text = template.replace("{low}", &low.to_string());
-        let mut text = text.replace("{high}", &high.to_string());
+        let text = text.replace("{high}", &high.to_string());
+        let mut text = text.replace("{items}", &items(colours, [low, high]));
         match self {
-            Self::Heights(_) => text = text.replace("{items}", &items(&GROUND, [low, high])),
-            Self::Amounts(_) => text = text.replace("{items}", &items(&SUN, [low, high])),
-            Self::Differences(_) => text = text.replace("{items}", &items(&FELL_AND_ROSE, [low, high])),
             Self::Colours(bands, _) => {
                 for (name, band) in ["{red}", "{green}", "{blue}"].into_iter().zip(bands) {
                     text = text.replace(name, &band.to_string());
                 }
             }
             Self::Mask(label, colour) => text = text.replace("{label}", label).replace("{colour}", colour),
-            Self::Shades(_) => (),
+            _ => (),
         }
         let gamma = match self {
             Self::Colours(..) => DISPLAY_GAMMA,
@@ -306,9 +305,12 @@ fn range(plane: &[f32]) -> [f32; 2] {
 }
 
 fn joined(ranges: [[f32; 2]; 3]) -> [f32; 2] {
-    let start = [f32::INFINITY, f32::NEG_INFINITY];
-    let ranges = ranges.into_iter();
-    ranges.fold(start, |[low, high], [a, b]| [low.min(a), high.max(b)])
+    ranges.into_iter().fold([f32::INFINITY, f32::NEG_INFINITY], wider)
+}
+
+/// Range that contains two ranges.
+fn wider([low, high]: [f32; 2], by: [f32; 2]) -> [f32; 2] {
+    [low.min(by[0]), high.max(by[1])]
 }
 
 #[cfg(test)]

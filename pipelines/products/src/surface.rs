@@ -91,14 +91,9 @@ pub(super) fn cells(input: &SurfaceGaussians, nadir: &ProjectiveCamera, cell_m: 
     let all = depths_and(input.gaussians, nadir, &input.projection, of_leaf);
     let is_leaf = index.map(|index| {
         let known = |value: fn(&Maps, usize) -> f32| -> Vec<f32> {
-            let of = |i: usize| {
-                if all.alpha[i] >= ALPHA_KNOWN {
-                    value(&all, i)
-                } else {
-                    f32::NAN
-                }
-            };
-            (0..all.alpha.len()).map(of).collect()
+            let mut values: Vec<f32> = (0..all.alpha.len()).map(|i| value(&all, i)).collect();
+            forget_thin(&mut values, &all.alpha);
+            values
         };
         let seen = FromAbove {
             index: known(|all, i| all.channels[0][i] / all.alpha[i]),
@@ -193,7 +188,7 @@ fn looks(input: &SurfaceGaussians, is_leaf: Option<&[bool]>, nadir: &ProjectiveC
 }
 
 /// Sets depths to NaN where the coverage is low.
-fn forget_thin(depth: &mut [f32], alpha: &[f32]) {
+pub(crate) fn forget_thin(depth: &mut [f32], alpha: &[f32]) {
     for (depth, &alpha) in depth.iter_mut().zip(alpha) {
         if alpha < ALPHA_KNOWN {
             *depth = f32::NAN;

@@ -9,6 +9,7 @@ use super::tile::MosaicTile;
 use crate::model::{LoadedModel, ModelFile, load};
 use crate::nadir::NadirGrid;
 use crate::relight::{RelightError, composed, light_of};
+use crate::surface::forget_thin;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use heliosplat::gaussians::normalised;
 use heliosplat::light::Light;
@@ -82,7 +83,7 @@ pub fn shown(kinds: &[BandKind]) -> [usize; 3] {
 /// Light and display of the splats of several tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Look {
-    /// Sun of the splats; `None` for models without light.
+    /// Sun of the splats; `None` for models without light, which show the ground as it was photographed.
     sun: Option<SunPosition>,
     /// Display stretch of the splats' colours.
     display: Display,
@@ -105,8 +106,7 @@ impl Look {
                 own = own_sun(&model.file);
                 said = (shown(&model.file.bands), model.file.counts_per_unit);
             }
-            let light = own.map(|sun| Ok::<_, RelightError>((sun, light_of(&model, &sun)?)));
-            let mut image = from_above(&model, light.transpose()?)?;
+            let mut image = from_above(&model, lit_by(&model, own)?)?;
             tile.balance(&mut image);
             let step = (image.plane_len() * tiles.len() / DISPLAY_VALUES).max(1);
             for band in said.0.into_iter().filter(|&band| band < image.bands) {
@@ -125,11 +125,7 @@ impl Look {
 pub struct Lit {
     /// Splats in the local frame.
     pub splats: Vec<Splat>,
-    /// Display stretch of the splats' colours.
-    pub display: Display,
-    /// Sun of the splats; `None` for a model without light, which shows the ground as it was photographed.
-    pub sun: Option<SunPosition>,
-    counts_per_unit: f64,
+    look: Look,
 }
 
 impl Lit {
@@ -139,18 +135,16 @@ impl Lit {
     /// # Errors
     /// [`RelightError`] where the sun is too low, or the model has no light and `sun` is given.
     pub fn new(model: &LoadedModel, sun: Option<&SunPosition>) -> Result<Self, RelightError> {
-        let lit_by = |sun: SunPosition| Ok::<_, RelightError>((sun, light_of(model, &sun)?));
-        let own = own_sun(&model.file).map(lit_by).transpose()?;
-        let light = sun.copied().map(lit_by).transpose()?.or(own);
+        let own = lit_by(model, own_sun(&model.file))?;
+        let light = lit_by(model, sun.copied())?.or(own);
         let display = Display::of(&from_above(model, own)?, &model.file.bands, (BLACK, WHITE));
         let splats = splats(model, &colours(model, light)?, &display);
-        let sun = light.map(|(sun, _)| sun);
-        Ok(Self {
-            splats,
+        let look = Look {
+            sun: light.map(|(sun, _)| sun),
             display,
-            sun,
             counts_per_unit: model.file.counts_per_unit,
-        })
+        };
+        Ok(Self { splats, look })
     }
 
     /// Splats of all tiles of a mosaic in the frame of `nadir`, those of each tile within its core and with its gains.
@@ -163,35 +157,32 @@ impl Lit {
         (nadir, frame): (&NadirGrid, &LocalFrame),
         look: &Look,
     ) -> Result<Self, RelightError> {
-        let Look { sun, display, .. } = *look;
         let mut all = Vec::new();
         for tile in tiles {
             let model = load(&tile.run)?;
-            let light = sun.map(|sun| Ok::<_, RelightError>((sun, light_of(&model, &sun)?)));
-            let mut colours = colours(&model, light.transpose()?)?;
+            let mut colours = colours(&model, lit_by(&model, look.sun)?)?;
             tile.balance(&mut colours);
-            let splats = splats(&model, &colours, &display);
+            let splats = splats(&model, &colours, &look.display);
             let splats = splats.into_iter().map(between(&model.frame, frame));
             all.extend(splats.filter(|splat| tile.contains(&nadir.camera, splat.position)));
         }
         Ok(Self {
             splats: all,
-            display,
-            sun,
-            counts_per_unit: look.counts_per_unit,
+            look: *look,
         })
     }
 
     /// Metadata of the splats in files: sun angles, degrees, and display stretch, counts.
     pub(super) fn metadata(&self) -> Value {
-        let counts = |value: f32| f64::from(value) * self.counts_per_unit;
-        let sun = self.sun.map(|sun| sun.degrees());
+        let Look { sun, display, .. } = self.look;
+        let counts = |value: f32| f64::from(value) * self.look.counts_per_unit;
+        let sun = sun.map(|sun| sun.degrees());
         let sun = sun.map(|[azimuth, elevation]| json!({"azimuth_deg": azimuth, "elevation_deg": elevation}));
         json!({
             "sun": sun,
             "display": {
-                "bands": self.display.bands, "black_counts": counts(self.display.black),
-                "white_counts": counts(self.display.white), "curve": "sRGB",
+                "bands": display.bands, "black_counts": counts(display.black),
+                "white_counts": counts(display.white), "curve": "sRGB",
             },
         })
     }
@@ -212,6 +203,14 @@ fn between(from: &LocalFrame, to: &LocalFrame) -> impl Fn(Splat) -> Splat {
             ..splat
         }
     }
+}
+
+/// A sun with its light on `model`.
+///
+/// # Errors
+/// [`RelightError`] where the sun is too low, or the model has no light.
+fn lit_by(model: &LoadedModel, sun: Option<SunPosition>) -> Result<Option<(SunPosition, Light)>, RelightError> {
+    sun.map(|sun| Ok((sun, light_of(model, &sun)?))).transpose()
 }
 
 /// Default sun of a model's splats: that of its reference image; `None` for a model without light.
@@ -237,9 +236,7 @@ fn from_above(model: &LoadedModel, light: Option<(SunPosition, Light)>) -> Resul
         None => seen.image,
     };
     for band in 0..image.bands {
-        let cells = image.plane_mut(band).iter_mut().zip(&seen.maps.alpha);
-        let unknown = cells.filter(|(_, alpha)| **alpha < 0.5);
-        unknown.for_each(|(value, _)| *value = f32::NAN);
+        forget_thin(image.plane_mut(band), &seen.maps.alpha);
     }
     Ok(image)
 }

@@ -12,7 +12,7 @@ const SOLAR_CONSTANT_W_M2: f64 = 1367.0;
 const SCALE_HEIGHT_M: f64 = 8434.5;
 
 /// Irradiance of the sun and of the sky, W/m².
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Irradiance {
     /// Irradiance of a surface that faces the sun.
     pub(super) beam_w_m2: f64,
@@ -24,11 +24,7 @@ pub(super) struct Irradiance {
 /// turbidity; zero for a sun below the horizon.
 pub(super) fn irradiance(elevation_rad: f64, distance_au: f64, height_m: f64, turbidity: f64) -> Irradiance {
     if elevation_rad <= 0.0 {
-        let (beam_w_m2, diffuse_w_m2) = (0.0, 0.0);
-        return Irradiance {
-            beam_w_m2,
-            diffuse_w_m2,
-        };
+        return Irradiance::default();
     }
     let above_air_w_m2 = SOLAR_CONSTANT_W_M2 / (distance_au * distance_au);
     let mass = air_mass(elevation_rad, height_m);
