@@ -181,15 +181,8 @@ impl Batch<'_> {
         let every = format!("{}s", self.checkpoint_every.as_secs_f64());
         let mut command = Command::new(program);
         command.arg("batch").arg(self.manifest).arg("--out").arg(self.out);
-        command.args([
-            "--only",
-            &unit.id,
-            "--attended",
-            "--threads",
-            &threads,
-            "--checkpoint-every",
-            &every,
-        ]);
+        command.args(["--only", &unit.id, "--attended", "--threads", &threads]);
+        command.args(["--checkpoint-every", &every]);
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(log);
         let child = command.spawn();
         child.map_err(|error| failed(format!("it cannot be started ({error})")))

@@ -64,19 +64,16 @@ pub fn mosaic(out: &Path, work: &MosaicWork) -> Result<Mosaic> {
     let mut altitude = Raster::filled(whole.width, whole.height, 1, f32::NAN);
     for side in sides(work.around, work.bounds) {
         let (_, blended) = blended(out, work, side)?;
-        paste(&mut altitude, &blended, places.cells([side[0], side[3]]));
+        altitude.put(&blended, places.corner(side));
     }
     let (parts, raster) = blended(out, work, work.bounds)?;
-    let at = places.cells([work.bounds[0], work.bounds[3]]);
-    paste(&mut altitude, &raster, at);
+    let at = places.corner(work.bounds);
+    altitude.put(&raster, at);
     Ok(Mosaic {
         dsm: Dsm::above_ellipsoid(raster, grid.clone()),
         grid,
         parts,
-        around: Surroundings {
-            altitude,
-            at: (at[0].max(0) as usize, at[1].max(0) as usize),
-        },
+        around: Surroundings { altitude, at },
     })
 }
 
@@ -105,15 +102,6 @@ fn sides(around: [f64; 4], inner: [f64; 4]) -> impl Iterator<Item = [f64; 4]> {
     sides.into_iter().filter(|side| side[0] < side[2] && side[1] < side[3])
 }
 
-/// Copies the first band of `part` into `raster`, from a column and a row on.
-fn paste(raster: &mut Raster, part: &Raster, [col, row]: [isize; 2]) {
-    let rows = part.plane(0).chunks_exact(part.width);
-    let (col, row, width) = (col.max(0) as usize, row.max(0) as usize, raster.width);
-    for (line, values) in raster.values.chunks_exact_mut(width).skip(row).zip(rows) {
-        line[col..col + values.len()].copy_from_slice(values);
-    }
-}
-
 /// Columns and rows from a north-western corner.
 pub(super) struct Places {
     west: f64,
@@ -133,6 +121,12 @@ impl Places {
     /// Column and row of a corner of cells at map coordinates.
     pub(super) fn cells(&self, [x, y]: [f64; 2]) -> [isize; 2] {
         [x - self.west, self.north - y].map(|distance| (distance / self.gsd_m).round() as isize)
+    }
+
+    /// Column and row at which bounds (west, south, east, north) within the mosaic begin.
+    pub(super) fn corner(&self, [west, _, _, north]: [f64; 4]) -> (usize, usize) {
+        let [col, row] = self.cells([west, north]).map(|at| at.max(0) as usize);
+        (col, row)
     }
 
     /// Columns and rows of bounds (west, south, east, north).

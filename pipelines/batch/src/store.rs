@@ -48,12 +48,9 @@ pub(super) fn taken(out: &Path, unit: &Unit) -> Result<Option<Stamp>> {
     for output in &stamp.outputs {
         take(&output.path)?;
         if Output::of(&folder, &output.path)? != *output {
-            let (to, path) = (
-                unit.deliver.as_deref().unwrap_or_default(),
-                format!("{}/{}", unit.id, output.path),
-            );
+            let (to, id, path) = (unit.deliver.as_deref().unwrap_or_default(), &unit.id, &output.path);
             return Err(BatchError::Failed(format!(
-                "{to}/{path}: it is not the file of its stamp; remove {STAMP} beside it and run the unit again"
+                "{to}/{id}/{path}: it is not the file of its stamp; remove {STAMP} beside it and run the unit again"
             )));
         }
     }

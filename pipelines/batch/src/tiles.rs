@@ -145,7 +145,7 @@ fn try_cut(
     gsd_m: f64,
     (rows, cols): (usize, usize),
 ) -> Result<Result<Tiling, TooMuch>> {
-    let [west, north] = corner(grid);
+    let [west, _, _, north, ..] = grid.transform.to_gdal();
     let (cell, overlap) = (grid.transform.pixel_size().0, request.options.overlap_m / gsd_m);
     let overlap = overlap.round() * grid.transform.pixel_size().0;
     let (south, east) = (north - cell * grid.height as f64, west + cell * grid.width as f64);
@@ -231,12 +231,6 @@ pub(super) fn patches(tiling: &Tiling, gsd_m: f64) -> Vec<AreaRequest> {
     };
     let corners = rows.flat_map(|y| along(west, east, wide).map(move |x| (x, y)));
     corners.map(|(x, y)| patch(x, y)).collect()
-}
-
-/// Outer north-western corner of a grid, map coordinates.
-fn corner(grid: &GridSpec) -> [f64; 2] {
-    let six = grid.transform.to_gdal();
-    [six[0], six[3]]
 }
 
 fn estimate(request: &Request, tile: &TileSurvey) -> Estimate {
