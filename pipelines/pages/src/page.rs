@@ -94,8 +94,13 @@ pub fn inline_picture(picture: RgbImage, width: u32) -> Option<String> {
     if picture.width() > width {
         picture = picture.resize(width, u32::MAX, FilterType::Triangle);
     }
+    jpeg_address(&picture.into_rgb8(), QUALITY)
+}
+
+/// Encodes a picture as a JPEG in a `data:` address; `None` if encoding fails.
+pub(crate) fn jpeg_address(picture: &RgbImage, quality: u8) -> Option<String> {
     let mut bytes = Vec::new();
-    let encoder = JpegEncoder::new_with_quality(&mut bytes, QUALITY);
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
     picture.write_with_encoder(encoder).ok()?;
     Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }

@@ -118,11 +118,8 @@ pub fn write_of_file(dsm: &Path) -> Result<PathBuf, ViewError> {
         path,
         metrics: Value::Null,
     };
-    let (head, maps) = (
-        surface::head(&folder, &exhibit, &[]),
-        surface::maps(&exhibit, &html! {}),
-    );
-    let body = [head, maps];
+    let head = surface::head(&folder, &exhibit, &[]);
+    let body = [head, surface::maps(&exhibit, &html! {})];
     Ok(save(&dsm.with_extension("html"), &page_of(&exhibit.title, &body))?)
 }
 

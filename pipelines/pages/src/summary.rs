@@ -108,10 +108,7 @@ pub fn csv(rows: &[Row]) -> String {
         let [seconds, peak, mae, known] = numbers(row);
         // Writing to a String cannot fail.
         let (unit, kind, state, planned) = (&row.unit, row.kind, row.state.name(), row.mem_mb);
-        let (log, error) = (
-            page::csv_text(&row.log),
-            page::csv_text(row.error.as_deref().unwrap_or("")),
-        );
+        let [log, error] = [&row.log, row.error.as_deref().unwrap_or("")].map(page::csv_text);
         text += &format!("{unit},{kind},{state},{seconds},{peak},{planned},{mae},{known},{log},{error}\n");
     }
     text

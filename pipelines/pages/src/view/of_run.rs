@@ -144,21 +144,28 @@ pub(super) fn maps(folder: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewE
 pub(crate) fn companions(dsm: &Path, exhibit: &Exhibit) -> Result<Vec<Layer>, ViewError> {
     let mut out = Vec::new();
     let surface = GeoRaster::read_surface(dsm)?;
-    if let Some(band) = surface.band(dsm_bands::STANDARD_DEVIATION) {
+    // Band, key, name and unit of the map, share of the values below the end of its ramp, and least end.
+    let maps = [
+        (
+            dsm_bands::STANDARD_DEVIATION,
+            "deviation",
+            ("Standard deviation of heights", "m"),
+            (0.98, 0.1),
+        ),
+        (
+            dsm_bands::VIEWS,
+            "views",
+            ("Number of images that see the ground", ""),
+            (1.0, 1.0),
+        ),
+    ];
+    for (band, id, (name, unit), (share, least)) in maps {
+        let Some(band) = surface.band(band) else { continue };
         let values = on_grid(&surface, band, &exhibit.grid)?;
-        if let Some((_, high)) = percentiles(&values.values, 0.02, 0.98) {
-            let ramp = (Ramp::Sequential, [0.0, high.max(0.1)]);
-            out.push(Layer::map("deviation", "Standard deviation of heights", ramp, values));
-        }
-    }
-    if let Some(band) = surface.band(dsm_bands::VIEWS) {
-        let values = on_grid(&surface, band, &exhibit.grid)?;
-        if let Some((_, most)) = percentiles(&values.values, 0.0, 1.0) {
-            let ramp = (Ramp::Sequential, [0.0, most.max(1.0)]);
-            out.push(Layer {
-                unit: "",
-                ..Layer::map("views", "Number of images that see the ground", ramp, values)
-            });
+        if let Some((_, high)) = percentiles(&values.values, 0.0, share) {
+            let ramp = (Ramp::Sequential, [0.0, high.max(least)]);
+            let map = Layer::map(id, name, ramp, values);
+            out.push(Layer { unit, ..map });
         }
     }
     Ok(out)

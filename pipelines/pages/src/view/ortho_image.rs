@@ -51,10 +51,8 @@ pub(super) fn project(
         let (fx, fy) = (x.fract(), y.fract());
         for band in 0..3 {
             let at = |dx: u32, dy: u32| {
-                let (col, row) = (
-                    (x as u32 + dx).min(width as u32 - 1),
-                    (y as u32 + dy).min(height as u32 - 1),
-                );
+                let col = (x as u32 + dx).min(width as u32 - 1);
+                let row = (y as u32 + dy).min(height as u32 - 1);
                 f32::from(picture.get_pixel(col, row).0[band])
             };
             let top = at(0, 0) * (1.0 - fx) + at(1, 0) * fx;

@@ -10,13 +10,13 @@
 //!
 //! Deflated data are written in base64.
 
+use crate::page::jpeg_address;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use heliosplat::Raster;
 use heliosplat_raster::preview::percentiles;
-use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
 use std::io::Write;
@@ -56,10 +56,8 @@ pub(super) fn heights(altitude: &Raster) -> Option<(f32, Value)> {
     let low = folded.iter().map(|value| *value as u8);
     let bytes: Vec<u8> = low.chain(folded.iter().map(|value| (value >> 8) as u8)).collect();
     let known = mask(plane.iter().map(|z| z.is_finite()));
-    Some((
-        low_m,
-        json!({"low_m": low_m, "step_m": step_m, "data": deflated(&bytes), "known": known}),
-    ))
+    let packed = json!({"low_m": low_m, "step_m": step_m, "data": deflated(&bytes), "known": known});
+    Some((low_m, packed))
 }
 
 /// Heights in whole steps; an unknown cell repeats the cell before it, which compresses well.
@@ -153,8 +151,5 @@ fn picture(raster: &Raster, quality: u8, shade: impl Fn(f32) -> f32) -> Option<S
         }
         before
     });
-    let mut bytes = Vec::new();
-    let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
-    picture.write_with_encoder(encoder).ok()?;
-    Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
+    jpeg_address(&picture, quality)
 }
