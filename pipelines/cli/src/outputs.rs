@@ -3,6 +3,7 @@
 use crate::outcome::CliError;
 use heliosplat_fitting::run_folder::inputs;
 use heliosplat_products::dsm::{BANDS, file_of};
+use heliosplat_raster::temporary::folder_of;
 use heliosplat_scene::Index;
 use std::path::{Path, PathBuf};
 
@@ -68,13 +69,6 @@ impl Inputs {
             out.display(),
             held.file_name().unwrap_or_default().to_string_lossy()
         )))
-    }
-}
-
-fn folder_of(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
     }
 }
 

@@ -27,7 +27,7 @@ pub(crate) fn target(path: &Path) -> PathBuf {
 }
 
 /// The folder of a file; `.` for a bare name.
-pub(crate) fn folder_of(path: &Path) -> &Path {
+pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

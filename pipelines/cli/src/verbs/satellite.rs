@@ -167,13 +167,8 @@ fn surface_of_run(args: &DsmArgs, crs: Option<&str>) -> Result<(Dsm, f64), CliEr
     let model = match args.date {
         Some(date) => {
             let model = load_whole(&args.run)?;
-            let first = model
-                .file
-                .images
-                .iter()
-                .filter_map(|image| image.time)
-                .min()
-                .map(day_of);
+            let times = model.file.images.iter().filter_map(|image| image.time);
+            let first = times.min().map(day_of);
             if first.is_some_and(|first| as_day(date) < first) {
                 tracing::warn!("no image was taken by {date}: the surface is that of the first one");
             }
