@@ -165,11 +165,14 @@ fn texture(bands: usize, shows: Shows, tilt: [f64; 2]) -> Raster {
         return raster;
     }
     let brighter = (100.0 * tilt[0] + 40.0 * tilt[1]).round() as f32;
-    let mut grain = Pcg32::seed_from_u64(tilt[0].to_bits() ^ tilt[1].to_bits().rotate_left(32));
+    let mut rng = Pcg32::seed_from_u64(tilt[0].to_bits() ^ tilt[1].to_bits().rotate_left(32));
+    let grain: Vec<f32> = (0..SIZE_PX * SIZE_PX)
+        .map(|_| rng.random_range(-100.0..100.0))
+        .collect();
     for (index, value) in raster.values.iter_mut().enumerate() {
         let (col, row) = (index % SIZE_PX, index / SIZE_PX % SIZE_PX);
         *value = brighter + 500.0 + 200.0 * ((col as f32 * 0.7).sin() + (row as f32 * 0.4).cos());
-        *value += grain.random_range(-100.0..100.0);
+        *value += grain[index % grain.len()];
         if shows == Shows::Half && row >= SIZE_PX / 2 {
             *value = 0.0;
         }

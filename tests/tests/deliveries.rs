@@ -472,6 +472,27 @@ fn equal_pixels_under_unlike_cameras_are_named() {
     assert_eq!(named(), [["view_1", "view_2"]]);
 }
 
+#[test]
+fn an_image_of_which_much_is_clipped_is_named() {
+    let home = tempdir().expect("a temporary folder");
+    let views = views();
+    views.iter().for_each(|view| drop(view.write(home.path())));
+    let path = home.path().join("view_1.tif");
+    let file = RasterFile::open(&path).and_then(|file| file.read_all());
+    let mut pixels = file.expect("pixels");
+    pixels.values.iter_mut().for_each(|value| *value = value.min(500.0));
+    let camera: Vec<(String, String)> = write::gdal_domain(&views[1].rpc()).into_iter().collect();
+    let spec = ImageSpec {
+        rpc: &camera,
+        ..ImageSpec::plain(&pixels)
+    };
+    write_geotiff(&path, &spec, SampleType::U16).expect("written");
+    let findings = open(home.path()).expect("a scene").findings;
+    let clipped: Vec<_> = findings.iter().filter(|finding| finding.code == "clipped").collect();
+    assert_eq!(clipped.len(), 1, "{findings:?}");
+    assert_eq!(clipped[0].images, ["view_1"]);
+}
+
 /// Finding codes and full output of `inspect` for a scene.
 fn inspected(folder: &Path, more: &[&str]) -> (Vec<String>, Value) {
     let word = folder.display().to_string();

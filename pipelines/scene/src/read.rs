@@ -92,6 +92,7 @@ impl Scene {
             warnings,
         };
         scene.warn_of_copies();
+        scene.warn_of_clipped();
         Ok(scene)
     }
 }
