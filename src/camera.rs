@@ -192,6 +192,20 @@ mod tests {
     }
 
     #[test]
+    fn a_point_is_shown_by_its_nearest_pixel_or_by_none() {
+        let camera = satellite();
+        let shown = |col: f32, row: f32| {
+            let point = camera.point_at_altitude(col, row, 35.0).expect("the ray is not level");
+            camera.pixel(point).map(|(index, _)| index)
+        };
+        assert_eq!(shown(17.25, 400.4), Some(400 * 512 + 17));
+        assert_eq!(shown(-0.4, 511.4), Some(511 * 512));
+        for (col, row) in [(-0.6, 3.0), (3.0, -0.6), (511.6, 3.0), (3.0, 511.6)] {
+            assert_eq!(shown(col, row), None, "{col} {row}");
+        }
+    }
+
+    #[test]
     fn a_point_at_altitude_projects_back_to_its_pixel() {
         let camera = satellite();
         let p = camera

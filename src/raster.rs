@@ -134,3 +134,16 @@ impl Raster {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_raster_of_a_function_has_its_values_by_band_column_and_row() {
+        let raster = Raster::from_fn(3, 2, 2, |band, col, row| (100 * band + 10 * col + row) as f32);
+        for (band, col, row) in [(0, 0, 0), (0, 2, 1), (1, 1, 0), (1, 2, 1)] {
+            assert_eq!(raster.at(band, col, row), (100 * band + 10 * col + row) as f32);
+        }
+    }
+}
