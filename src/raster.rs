@@ -32,8 +32,10 @@ impl Raster {
         mut value: impl FnMut(usize, usize, usize) -> f32,
     ) -> Self {
         let mut out = Self::filled(width, height, bands, f32::NAN);
-        for (i, slot) in out.values.iter_mut().enumerate() {
-            *slot = value(i / (width * height), i % width, i / width % height);
+        for (line, slots) in out.values.chunks_exact_mut(width.max(1)).enumerate() {
+            for (col, slot) in slots.iter_mut().enumerate() {
+                *slot = value(line / height, col, line % height);
+            }
         }
         out
     }

@@ -359,6 +359,11 @@ impl<'a> Trainer<'a> {
         self.pyramid.place_camera(index, &camera);
     }
 
+    /// True if cameras may turn in the steps to come.
+    pub fn may_turn_cameras(&self) -> bool {
+        self.now.turns.is_some()
+    }
+
     /// Turns of the cameras, by view; empty where cameras stay as they were given, or hardly move.
     pub fn camera_turns(&self) -> Vec<CameraTurn> {
         let cameras = self.views.iter().zip(&self.cameras);

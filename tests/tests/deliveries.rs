@@ -470,6 +470,17 @@ fn equal_pixels_under_unlike_cameras_are_named() {
     };
     write_geotiff(&target, &spec, SampleType::U16).expect("written");
     assert_eq!(named(), [["view_1", "view_2"]]);
+    // A third of the rows missing.
+    for (index, value) in pixels.values.iter_mut().enumerate() {
+        let row = index / pixels.width;
+        *value = if row.is_multiple_of(3) { f32::NAN } else { *value };
+    }
+    let spec = ImageSpec {
+        rpc: &camera,
+        ..ImageSpec::plain(&pixels)
+    };
+    write_geotiff(&target, &spec, SampleType::F32).expect("written");
+    assert_eq!(named(), [["view_1", "view_2"]]);
 }
 
 #[test]

@@ -429,6 +429,17 @@ fn training_cameras_that_are_off_are_turned_and_those_that_are_right_stay() {
     let steps = ["--set", "train.iterations=480"];
     let exact = train(capture.path(), &home.path().join("exact"), &steps);
     assert_eq!(exact["camera_turns"], json!([]));
+    let says_too_seldom = |run: &str| {
+        let log = std::fs::read_to_string(home.path().join(run).join("log.txt")).expect("a log");
+        log.contains("too seldom")
+    };
+    assert!(!says_too_seldom("exact"));
+    train(
+        capture.path(),
+        &home.path().join("short"),
+        &["--set", "train.iterations=40"],
+    );
+    assert!(says_too_seldom("short"));
     disturb_cameras(capture.path());
     let run = home.path().join("off");
     let metrics = train(capture.path(), &run, &steps);

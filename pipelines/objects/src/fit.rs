@@ -97,7 +97,7 @@ pub fn fit(
     if let Some(device) = device {
         tracing::info!("Cameras stay as they were given: {} does not turn them", device.name());
         trainer = trainer.on(device);
-    } else if trainer.camera_turns().is_empty() {
+    } else if !trainer.may_turn_cameras() {
         tracing::info!(
             "Cameras stay as they were given: {steps} steps visit {} images too seldom to find their errors",
             trainer.views()

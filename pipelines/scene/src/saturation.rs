@@ -23,7 +23,7 @@ impl Scene {
         for (image, share) in self.images.iter().zip(shares).filter(|(_, share)| *share > MUCH) {
             let message = format!(
                 "{}: {:.0} % of the values are the greatest of their band: clipped ground has no texture, and its heights are those \
-                 of its surroundings; give the image before it was stretched",
+                 of its surroundings; give the image as it was before a stretch, if there is one",
                 image.name,
                 100.0 * share
             );
