@@ -9,12 +9,12 @@ use rayon::prelude::*;
 const ALPHA_SEEN: f32 = 0.5;
 
 /// Computes points from pixels and depths in one camera (Cramer's rule on the two pixel equations and the depth).
-struct Unprojection<'a>(&'a ProjectiveCamera);
+pub(crate) struct Unprojection<'a>(pub(crate) &'a ProjectiveCamera);
 
 impl Unprojection<'_> {
     /// The point at `depth` on a pixel's ray, and its derivative to the depth.
     #[inline]
-    fn point(&self, col: usize, row: usize, depth: f32) -> (Vec3, Vec3) {
+    pub(crate) fn point(&self, col: usize, row: usize, depth: f32) -> (Vec3, Vec3) {
         let camera = self.0;
         let (c, r) = (col as f32, row as f32);
         let a = camera.u - camera.w * c;

@@ -1,6 +1,6 @@
 //! Glossy surfaces under a fixed, unknown environment light: material separated from light.
 //!
-//! After ARS-GS (2025), with its printed errors corrected, per Gaussian and evaluated at its centre
+//! After ARS-GS (2025), with its printed errors corrected:
 //!
 //! ```text
 //! C = a (1-m) Σ Â_l c_lm Y_lm(n)  +  g L (F0 F1(n·ω, ρ) + F2(n·ω, ρ))
@@ -13,27 +13,34 @@
 //! Gaussians, plus the Gaussian's own deviation from it, and `F1`, `F2` the split sum. ψ, the decoder, is a small
 //! shared network: it adds the detail of the environment that harmonics of degree three cannot hold. It reads `t`
 //! encoded in waves, each times the factor by which the lobe blurs it, and the position, which so gets a gradient (the
-//! skip of ARS-GS). Where `g` is next to nothing, ψ is not evaluated. Light is linear; where images hold display
-//! values, each Gaussian's light goes through the display's curve.
+//! skip of ARS-GS). Light is linear; where images hold display values, the light of a pixel goes through the display's
+//! curve.
+//!
+//! The sums of harmonics are evaluated per Gaussian, at its centre. They, the normal and the material are composited,
+//! and the second term is shaded once per pixel ([`reflection`]), with α the mean of both widths. Where `g` is next to
+//! nothing, ψ is not evaluated. Under a lamp (`lit`) Gaussians are shaded one by one.
 //!
 //! Limits: the light is unknown, so the images determine albedo and light only up to a common factor; no shadows and no
 //! interreflection within the object.
 
 mod parameters;
+mod reflection;
 mod surface;
 
-use super::background::{COLOURS, depth_normal_loss};
+use super::background::{COLOURS, depth_normal_loss, over_background};
 use super::network::Network;
 use super::olat::Component;
+use super::view_direction::rate_of_degree;
 use super::{Background, Context, NamedLoss, Parameters, SceneModel, Seen};
 use crate::gaussians::{FEATURES, Table, logit};
 use crate::optim::{LearningRate, ParameterGroup};
+use crate::raster::Raster;
 use crate::shade::display;
 use crate::shade::sh::{self, MAX_DEGREE};
 use crate::splat::{MapGradients, Maps};
-use glam::Vec3;
 use rayon::prelude::*;
-use surface::{EMBEDDING_WIDTH, INPUTS, PartialGradient, ReflectiveSurface, SurfaceGradient, ViewGeometry};
+use reflection::{CHANNELS, DIFFUSE, GLOSS, INPUTS, NORMAL, PixelGradient, PixelSurface};
+use surface::{EMBEDDING_WIDTH, PartialGradient, ReflectiveSurface, SurfaceGradient, ViewGeometry};
 
 /// Index of the group of albedos, before the sigmoid.
 pub const ALBEDO: usize = FEATURES;
@@ -52,10 +59,12 @@ pub const ENVIRONMENT: usize = 0;
 pub const DECODER: usize = 1;
 /// Smallest width of a lobe, GGX's α.
 const WIDTH_MIN: f32 = 0.03;
+/// Alpha below which a pixel shows no surface.
+const ALPHA_MIN: f32 = 1e-3;
 /// Weight of the specular term below which the decoder is not evaluated.
 const GLOSS_MIN: f32 = 0.02;
-/// Share of training after which the next degree of light joins.
-const DEGREE_SHARE: f32 = 0.1;
+/// Learning rate of the harmonics of light (docs/lab/objects.md).
+const LIGHT_RATE: f32 = 1.5e-2;
 /// Share of the learning rates of environment and decoder that is left at the end of training.
 const SHARED_RATE_AT_END: f32 = 0.1;
 /// Initial scale of the decoder's last layer, relative to its others: it starts with little effect.
@@ -118,13 +127,10 @@ pub struct Reflective {
     pub options: ReflectiveOptions,
 }
 
-/// The surfaces of a view, their viewing geometry, and the decoder's inputs of the glossy ones.
+/// The surfaces of a view and their viewing geometry.
 struct PreparedView {
     surfaces: Vec<ReflectiveSurface>,
     views: Vec<ViewGeometry>,
-    /// Row of each splat among the decoder's inputs; `None` where it is not glossy.
-    rows: Vec<Option<usize>>,
-    inputs: Vec<f32>,
 }
 
 impl Reflective {
@@ -181,10 +187,10 @@ impl Reflective {
         ]);
     }
 
-    /// Surfaces, view geometry and decoder inputs of all splats.
+    /// Surfaces and view geometry of all splats.
     fn prepare(&self, context: &Context, seen: &Seen) -> PreparedView {
         let (eye, toward) = (context.camera.eye(), -context.camera.depth_axis);
-        let (surfaces, views): (Vec<ReflectiveSurface>, Vec<ViewGeometry>) = seen
+        let (surfaces, views) = seen
             .projected
             .gaussian
             .par_iter()
@@ -195,40 +201,43 @@ impl Reflective {
                 (surface, view)
             })
             .unzip();
-        let mut glossy_splats = Vec::new();
-        let rows: Vec<Option<usize>> = surfaces
-            .iter()
-            .enumerate()
-            .map(|(s, surface)| {
-                let glossy = surface.gloss > GLOSS_MIN && !self.options.lit;
-                glossy.then(|| {
-                    glossy_splats.push(s);
-                    glossy_splats.len() - 1
-                })
-            })
-            .collect();
-        let mut inputs = vec![0.0; glossy_splats.len() * INPUTS];
-        let (functions, scale) = (sh::functions(self.options.degree), 1.0 / self.options.half_size);
-        inputs
-            .par_chunks_mut(INPUTS)
-            .with_min_len(256)
-            .zip(&glossy_splats)
-            .for_each(|(row, &s)| surfaces[s].encode(&views[s], functions, scale, row));
-        PreparedView {
-            surfaces,
-            views,
-            rows,
-            inputs,
-        }
+        PreparedView { surfaces, views }
     }
 
-    /// Outputs of the decoder, row by row.
-    fn decode(&self, context: &Context, prepared: &PreparedView) -> Vec<f32> {
-        if prepared.inputs.is_empty() {
-            return Vec::new();
+    /// True if pixels reflect the environment.
+    fn reflects(&self) -> bool {
+        self.options.specular && !self.options.lit
+    }
+
+    /// The glossy pixels, and the decoder's inputs.
+    fn glossy(&self, context: &Context, maps: &Maps) -> (Vec<PixelSurface>, Vec<f32>) {
+        if !self.reflects() {
+            return (Vec::new(), Vec::new());
         }
-        self.network()
-            .forward(context.parameters.globals.group(DECODER), &prepared.inputs)
+        let pixels: Vec<PixelSurface> = (0..maps.alpha.len())
+            .into_par_iter()
+            .with_min_len(256)
+            .filter(|&i| maps.alpha[i] > ALPHA_MIN && maps.channels[GLOSS][i] > GLOSS_MIN * maps.alpha[i])
+            .map(|i| PixelSurface::new(context.camera, maps, i))
+            .collect();
+        let mut inputs = vec![0.0; pixels.len() * INPUTS];
+        let rows = inputs.par_chunks_mut(INPUTS).with_min_len(256).zip(&pixels);
+        rows.for_each(|(row, pixel)| pixel.encode(self.scale(), row));
+        (pixels, inputs)
+    }
+
+    /// One over half the side of the cube that contains the positions.
+    fn scale(&self) -> f32 {
+        1.0 / self.options.half_size
+    }
+
+    /// Specular light of all pixels, zero where one is not glossy.
+    fn specular(pixels: &[PixelSurface], decoded: &[f32], count: usize) -> Vec<[f32; COLOURS]> {
+        let mut specular = vec![[0.0; COLOURS]; count];
+        for (row, pixel) in pixels.iter().enumerate() {
+            specular[pixel.pixel] = pixel.specular(three(decoded, row));
+        }
+        specular
     }
 
     /// Pixel value of a surface's light, and its slope to the light.
@@ -238,17 +247,6 @@ impl Reflective {
         } else {
             (light, 1.0)
         }
-    }
-
-    /// Unit normals of the frames, facing the eye, one per splat.
-    pub fn normals(&self, context: &Context, seen: &Seen) -> Vec<Vec3> {
-        let prepared = self.prepare(context, seen);
-        prepared.views.iter().map(ViewGeometry::normal).collect()
-    }
-
-    /// True if normals are rasterised, behind the colours.
-    fn shows_normals(&self) -> bool {
-        self.options.normal_weight > 0.0 || self.options.shows == Component::Normal
     }
 }
 
@@ -278,10 +276,7 @@ impl SceneModel for Reflective {
             ParameterGroup::new("embedding", EMBEDDING_WIDTH, glossy(5e-3)),
         ];
         let light = |degree: usize| {
-            let rate = match degree {
-                0 => constant(5e-3),
-                n => constant(1e-3).starting_at(n as f32 * DEGREE_SHARE),
-            };
+            let rate = rate_of_degree(LIGHT_RATE, degree);
             ParameterGroup::new(&format!("light_{degree}"), (2 * degree + 1) * COLOURS, rate)
         };
         groups.extend((0..=self.options.degree).map(light));
@@ -299,7 +294,7 @@ impl SceneModel for Reflective {
     }
 
     fn channels(&self) -> usize {
-        if self.shows_normals() { 2 * COLOURS } else { COLOURS }
+        if self.reflects() { CHANNELS } else { NORMAL.end }
     }
 
     fn needs_transmittance(&self) -> bool {
@@ -308,35 +303,29 @@ impl SceneModel for Reflective {
 
     fn features(&self, context: &Context, seen: &Seen, out: &mut [f32]) {
         let prepared = self.prepare(context, seen);
-        let decoded = self.decode(context, &prepared);
         let functions = sh::functions(self.options.degree);
+        let channels = self.channels();
         out.par_chunks_mut(seen.stride)
             .with_min_len(256)
             .enumerate()
             .for_each(|(s, feature)| {
                 let (surface, view) = (&prepared.surfaces[s], &prepared.views[s]);
-                let (diffuse, specular) = match (self.options.lit, context.light) {
-                    (true, Some(light)) => {
-                        let (to_light, _) = light.seen_from(surface.position);
-                        let lit = seen.transmittance[s];
-                        let (diffuse, specular) = surface.shade_under_light(view, to_light);
-                        (diffuse.map(|c| c * lit), specular.map(|c| c * lit))
-                    }
-                    (true, None) => ([0.0; COLOURS], [0.0; COLOURS]),
-                    _ => surface.shade(view, functions, prepared.rows[s].map(|row| three(&decoded, row))),
-                };
+                if !self.options.lit {
+                    surface.channels(view, functions, &mut feature[..channels]);
+                    return;
+                }
+                let Some(light) = context.light else { return };
+                let (to_light, _) = light.seen_from(surface.position);
+                let (diffuse, specular) = surface.shade_under_light(view, to_light);
                 for k in 0..COLOURS {
                     let light = match self.options.shows {
                         Component::Diffuse => diffuse[k],
                         Component::Specular => specular[k],
                         _ => diffuse[k] + specular[k],
                     };
-                    // Lights add up linearly; the display curve is applied to their sum.
-                    feature[k] = if self.options.lit { light } else { self.shown(light).0 };
+                    feature[k] = light * seen.transmittance[s];
                 }
-                if self.shows_normals() {
-                    feature[COLOURS..2 * COLOURS].copy_from_slice(&view.normal().to_array());
-                }
+                feature[NORMAL].copy_from_slice(&view.normal().to_array());
             });
     }
 
@@ -349,57 +338,101 @@ impl SceneModel for Reflective {
         _d_transmittance: &mut [f32],
     ) {
         let prepared = self.prepare(context, seen);
-        let kept = (!prepared.inputs.is_empty()).then(|| {
-            let weights = context.parameters.globals.group(DECODER);
-            self.network().forward_kept(weights, &prepared.inputs)
-        });
-        let decoded: &[f32] = kept.as_ref().map_or(&[], |kept| &kept.outputs);
-        let (functions, scale) = (sh::functions(self.options.degree), 1.0 / self.options.half_size);
-        let partial: Vec<(PartialGradient, [f32; COLOURS])> = d_features
+        let functions = sh::functions(self.options.degree);
+        let channels = self.channels();
+        let parts: Vec<SurfaceGradient> = d_features
             .par_chunks(seen.stride)
             .with_min_len(256)
             .enumerate()
             .map(|(s, d)| {
                 let (surface, view) = (&prepared.surfaces[s], &prepared.views[s]);
-                let of_decoder = prepared.rows[s].map(|row| three(decoded, row));
-                let (diffuse, specular) = surface.shade(view, functions, of_decoder);
-                let d_light = std::array::from_fn(|k| d[k] * self.shown(diffuse[k] + specular[k]).1);
                 let mut gradient = PartialGradient::default();
-                if self.shows_normals() {
-                    gradient.add_facing_normal(view, Vec3::from_slice(&d[COLOURS..2 * COLOURS]));
-                }
-                let d_decoded = surface.shade_backward(view, functions, of_decoder, d_light, &mut gradient);
-                (gradient, d_decoded)
-            })
-            .collect();
-        let mut d_decoded = vec![0.0; decoded.len()];
-        for (row, (_, d)) in prepared.rows.iter().zip(&partial) {
-            if let Some(row) = row {
-                d_decoded[row * COLOURS..(row + 1) * COLOURS].copy_from_slice(d);
-            }
-        }
-        let mut d_inputs = Vec::new();
-        if let Some(kept) = &kept {
-            let (to_inputs, to_weights) = kept.backward(&d_decoded);
-            d_inputs = to_inputs;
-            let slots = grads.globals.group_mut(DECODER).iter_mut();
-            slots.zip(to_weights).for_each(|(slot, d)| *slot += d);
-        }
-        let parts: Vec<SurfaceGradient> = partial
-            .into_par_iter()
-            .with_min_len(256)
-            .enumerate()
-            .map(|(s, (mut gradient, d_decoded))| {
-                let (surface, view) = (&prepared.surfaces[s], &prepared.views[s]);
-                if let Some(row) = prepared.rows[s] {
-                    let row = row * INPUTS..(row + 1) * INPUTS;
-                    let inputs = (&prepared.inputs[row.clone()], &d_inputs[row]);
-                    surface.encode_backward(view, functions, scale, inputs, d_decoded, &mut gradient);
-                }
+                surface.channels_backward(view, functions, &d[..channels], &mut gradient);
                 gradient.finish(surface, view)
             })
             .collect();
         self.add_gradients(context, &prepared.surfaces, &parts, &seen.projected.gaussian, grads);
+    }
+
+    fn compose(&self, context: &Context, maps: &Maps) -> Raster {
+        let mut out = over_background(maps, self.background());
+        if self.options.lit {
+            return out;
+        }
+        let (pixels, inputs) = self.glossy(context, maps);
+        let decoded = match pixels.is_empty() {
+            true => Vec::new(),
+            false => self
+                .network()
+                .forward(context.parameters.globals.group(DECODER), &inputs),
+        };
+        let specular = Self::specular(&pixels, &decoded, maps.alpha.len());
+        for (k, background) in self.options.background.into_iter().enumerate() {
+            let (light, values) = (&maps.channels[DIFFUSE.start + k], out.plane_mut(k));
+            for (i, value) in values.iter_mut().enumerate() {
+                let alpha = maps.alpha[i];
+                let share = 1.0 / alpha.max(ALPHA_MIN);
+                let light = match self.options.shows {
+                    Component::Diffuse => light[i] * share,
+                    Component::Specular => specular[i][k],
+                    _ => light[i] * share + specular[i][k],
+                };
+                *value = alpha * self.shown(light).0 + (1.0 - alpha) * background;
+            }
+        }
+        out
+    }
+
+    fn compose_backward(
+        &self,
+        context: &Context,
+        maps: &Maps,
+        d_image: &Raster,
+        d_maps: &mut MapGradients,
+        grads: &mut Parameters,
+    ) {
+        let (pixels, inputs) = self.glossy(context, maps);
+        let kept = (!pixels.is_empty()).then(|| {
+            let weights = context.parameters.globals.group(DECODER);
+            self.network().forward_kept(weights, &inputs)
+        });
+        let decoded: &[f32] = kept.as_ref().map_or(&[], |kept| &kept.outputs);
+        let specular = Self::specular(&pixels, decoded, maps.alpha.len());
+        let mut d_specular = vec![[0.0; COLOURS]; maps.alpha.len()];
+        for (k, background) in self.options.background.into_iter().enumerate() {
+            for (i, d) in d_image.plane(k).iter().enumerate() {
+                let alpha = maps.alpha[i];
+                let share = 1.0 / alpha.max(ALPHA_MIN);
+                let diffuse = maps.channels[DIFFUSE.start + k][i] * share;
+                let (value, slope) = self.shown(diffuse + specular[i][k]);
+                let d_light = d * slope * alpha;
+                d_specular[i][k] = d_light;
+                d_maps.channels[DIFFUSE.start + k][i] += d_light * share;
+                d_maps.alpha[i] += d * (value - background);
+                if alpha > ALPHA_MIN {
+                    d_maps.alpha[i] -= d_light * diffuse * share;
+                }
+            }
+        }
+        if self.options.coverage {
+            let slots = d_maps.alpha.iter_mut().zip(d_image.plane(COLOURS));
+            slots.for_each(|(slot, d)| *slot += d);
+        }
+        let Some(kept) = &kept else { return };
+        let (mut parts, mut d_decoded) = (Vec::with_capacity(pixels.len()), Vec::with_capacity(decoded.len()));
+        for (row, pixel) in pixels.iter().enumerate() {
+            let mut part = PixelGradient::default();
+            d_decoded.extend(pixel.specular_backward(three(decoded, row), d_specular[pixel.pixel], &mut part));
+            parts.push(part);
+        }
+        let (d_inputs, to_weights) = kept.backward(&d_decoded);
+        let slots = grads.globals.group_mut(DECODER).iter_mut();
+        slots.zip(to_weights).for_each(|(slot, d)| *slot += d);
+        let rows = parts.par_iter_mut().zip(&pixels).with_min_len(256);
+        let rows = rows.zip(inputs.par_chunks(INPUTS).zip(d_inputs.par_chunks(INPUTS)));
+        rows.for_each(|((part, pixel), row)| pixel.encode_backward(self.scale(), row, part));
+        let rows = pixels.iter().zip(&parts);
+        rows.for_each(|(pixel, part)| pixel.add_to(part, maps, d_maps));
     }
 
     fn background(&self) -> Background {

@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use std::sync::{Mutex, PoisonError};
 
 /// Channel counts that are compiled; a request is rounded up to the next one.
-pub const CHANNEL_COUNTS: [usize; 9] = [0, 1, 4, 5, 7, 8, 10, 12, 16];
+pub const CHANNEL_COUNTS: [usize; 10] = [0, 1, 4, 5, 7, 8, 10, 12, 16, 20];
 
 /// The largest of [`CHANNEL_COUNTS`].
 pub const MOST_CHANNELS: usize = CHANNEL_COUNTS[CHANNEL_COUNTS.len() - 1];
@@ -21,7 +21,7 @@ pub fn padded_channels(channels: usize) -> usize {
     CHANNEL_COUNTS
         .into_iter()
         .find(|&k| k >= channels)
-        .expect("a scene model has at most 16 channels")
+        .expect("a scene model has at most 20 channels")
 }
 
 /// Composited depths along rays besides their mean.
@@ -422,7 +422,7 @@ fn splat_gradient(splat: &Splat, sums: &[f32; GEOMETRY]) -> SplatGradient {
 /// Runs a block with a constant `K` equal to one of [`CHANNEL_COUNTS`].
 macro_rules! dispatch {
     ($channels:expr, $k:ident => $body:expr) => {
-        dispatch!(@arms $channels, $k, $body, 0 1 4 5 7 8 10 12 16)
+        dispatch!(@arms $channels, $k, $body, 0 1 4 5 7 8 10 12 16 20)
     };
     (@arms $channels:expr, $k:ident, $body:expr, $($n:literal)*) => {
         match $channels {

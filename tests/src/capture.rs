@@ -1,7 +1,7 @@
 //! Common parts of the tests of models of objects: a camera nearby, Gaussians around the origin, the engine's image of
 //! them with its gradients, and the image of the f64 reference.
 
-use crate::reference::{self, Gaussian};
+use crate::reference::{self, Gaussian, Pixel};
 use glam::{DVec3, Vec3};
 use heliosplat::gaussians::{LOG_SCALE, OPACITY, POSITION, ROTATION, Table};
 use heliosplat::model::{Context, Parameters, SceneModel};
@@ -64,9 +64,8 @@ pub fn reference_gaussians(flat: &Flat) -> Vec<Gaussian> {
         .collect()
 }
 
-/// Image by the reference, pixel after pixel: red, green, blue, coverage. The albedos of the Gaussians are their
-/// colours.
-pub fn reference_values(gaussians: &[Gaussian], camera: &ProjectiveCamera, background: [f32; 3]) -> Vec<f64> {
+/// Pixels of the reference; the albedos of the Gaussians are the values that it composites.
+pub fn reference_pixels(gaussians: &[Gaussian], camera: &ProjectiveCamera) -> Vec<Pixel> {
     let vec = |x: Vec3| Vector3::new(f64::from(x.x), f64::from(x.y), f64::from(x.z));
     let four = |x: Vec3, c: f32| [f64::from(x.x), f64::from(x.y), f64::from(x.z), f64::from(c)];
     let camera = reference::Camera {
@@ -79,13 +78,19 @@ pub fn reference_values(gaussians: &[Gaussian], camera: &ProjectiveCamera, backg
     };
     let options = PassOptions::default().projection;
     let lit = vec![1.0; gaussians.len()];
-    let pixels = reference::render(
+    reference::render(
         gaussians,
         &camera,
         &lit,
         f64::from(options.filter_px2),
         options.antialias,
-    );
+    )
+}
+
+/// Image by the reference, pixel after pixel: red, green, blue, coverage. The albedos of the Gaussians are their
+/// colours.
+pub fn reference_values(gaussians: &[Gaussian], camera: &ProjectiveCamera, background: [f32; 3]) -> Vec<f64> {
+    let pixels = reference_pixels(gaussians, camera);
     let values = pixels.iter().flat_map(|p| {
         let behind = |k: usize| p.albedo[k] + (1.0 - p.alpha) * f64::from(background[k]);
         [behind(0), behind(1), behind(2), p.alpha]

@@ -7,9 +7,9 @@ use heliosplat::model::reflective::{ALBEDO, EMBEDDING, FRAME, LIGHT, MATERIAL, R
 use heliosplat::model::{Context, Parameters, SceneModel};
 use heliosplat::render::Lit;
 use heliosplat_tests::capture::{
-    BANDS, Flat, SIZE, camera, engine_values, flat, network, reference_gaussians, reference_values, scatter,
+    BANDS, Flat, SIZE, camera, engine_values, flat, network, reference_gaussians, reference_pixels, scatter,
 };
-use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use std::f64::consts::PI;
@@ -149,16 +149,17 @@ fn shown(display: bool, light: f64) -> f64 {
     }
 }
 
-/// Colour of Gaussian `i`.
-fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
+/// Channels of Gaussian `i`: diffuse light, facing normal, reflected light of the harmonics, reflectance, weight of the
+/// specular term, mean square of the lobe's widths, embedding.
+fn channels(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
     let part = |group: usize, width: usize| &gaussians[group][i * width..(i + 1) * width];
     let position = Vector3::from_row_slice(part(POSITION, 3));
     let q = part(FRAME, 4);
     let frame = UnitQuaternion::from_quaternion(Quaternion::new(q[3], q[0], q[1], q[2]));
-    let frame: Matrix3<f64> = frame.to_rotation_matrix().into_inner();
-    let (x, y, n) = (frame.column(0), frame.column(1), frame.column(2));
+    let n = frame * Vector3::z();
     let eye = (case.eye - position).normalize();
     let n_dot_eye = n.dot(&eye);
+    let facing = n * n_dot_eye.signum();
     let t = n * (2.0 * n_dot_eye) - eye;
     let material: Vec<f64> = part(MATERIAL, 4).iter().map(|&v| sigmoid(v)).collect();
     let (metallic, gloss) = (material[0], material[3]);
@@ -170,7 +171,7 @@ fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
         own[(f - degree * degree) * 3 + k] + globals[0][f * 3 + k]
     };
     let cosine_kernel = [1.0, 2.0 / 3.0, 0.25, 0.0];
-    let (diffuse_basis, reflected_basis) = (harmonics(&(n * n_dot_eye.signum())), harmonics(&t));
+    let (diffuse_basis, reflected_basis) = (harmonics(&facing), harmonics(&t));
     let rho = alpha[0] * alpha[0] + alpha[1] * alpha[1];
     let (mut irradiance, mut reflected) = ([0.0; 3], [0.0; 3]);
     for f in 0..16 {
@@ -181,61 +182,96 @@ fn seen(case: &Case, gaussians: &Flat, globals: &Flat, i: usize) -> Vec<f64> {
             reflected[k] += blur * reflected_basis[f] * light(f, k);
         }
     }
-    let mut specular = [0.0; 3];
-    if case.model.options.specular {
-        let lobe_deviation = |axis: Vector3<f64>, a: f64| (n * eye.dot(&axis) + axis * n_dot_eye) * (2f64.sqrt() * a);
-        let lobe_deviation = [lobe_deviation(x.into(), alpha[0]), lobe_deviation(y.into(), alpha[1])];
-        // Corners of an icosahedron: a unit vector whose parts are in the golden ratio.
-        let golden = (1.0 + 5f64.sqrt()) / 2.0;
-        let (a, b) = (
-            1.0 / (1.0 + golden * golden).sqrt(),
-            golden / (1.0 + golden * golden).sqrt(),
-        );
-        let axes = [
-            [0.0, a, b],
-            [0.0, a, -b],
-            [a, b, 0.0],
-            [a, -b, 0.0],
-            [b, 0.0, a],
-            [-b, 0.0, a],
-        ];
-        let mut inputs = Vec::new();
-        for axis in axes.map(Vector3::from) {
-            for wave in [1.5, 3.0, 6.0, 12.0] {
-                let variance = axis.dot(&lobe_deviation[0]).powi(2) + axis.dot(&lobe_deviation[1]).powi(2);
-                let factor = (-0.5 * wave * wave * variance).exp();
-                let angle = wave * axis.dot(&t);
-                inputs.extend([factor * angle.sin(), factor * angle.cos()]);
-            }
-        }
-        inputs.extend(reflected);
-        inputs.push(n_dot_eye.abs());
-        inputs.extend(alpha);
-        inputs.extend((position / HALF_SIZE).iter());
-        inputs.extend(part(EMBEDDING, 6));
-        let decoded = network(&globals[1], &inputs, 16, 3);
-        let sums = split_sums((alpha[0] * alpha[1]).powf(0.25), n_dot_eye.abs());
-        for k in 0..3 {
-            let f0 = 0.04 * (1.0 - metallic) + metallic * albedo[k];
-            let u = reflected[k] + decoded[k];
-            let arriving = u.max(0.0) + (-u.abs()).exp().ln_1p();
-            specular[k] = gloss * arriving * (f0 * sums[0] + sums[1]);
+    let mut channels: Vec<f64> = (0..3)
+        .map(|k| albedo[k] * (1.0 - metallic) * irradiance[k].max(0.0))
+        .collect();
+    channels.extend(facing.iter());
+    channels.extend(reflected);
+    channels.extend(albedo.iter().map(|a| gloss * (0.04 * (1.0 - metallic) + metallic * a)));
+    channels.extend([gloss, rho / 2.0]);
+    channels.extend(part(EMBEDDING, 2));
+    channels
+}
+
+/// Specular light of a pixel from its channels over alpha, the direction to the eye, and the point that it shows.
+fn specular(channels: &[f64], eye: Vector3<f64>, position: Vector3<f64>, weights: &[f64]) -> [f64; 3] {
+    let n = Vector3::from_row_slice(&channels[3..6]).normalize();
+    let n_dot_eye = n.dot(&eye);
+    let t = n * (2.0 * n_dot_eye) - eye;
+    let (reflected, reflectance) = (&channels[6..9], &channels[9..12]);
+    let (gloss, alpha) = (channels[12], channels[13].sqrt());
+    let x = n.cross(&Vector3::new(0.3, -0.2, 0.9)).normalize();
+    let lobe_deviation = [x, n.cross(&x)].map(|axis| (n * eye.dot(&axis) + axis * n_dot_eye) * (2f64.sqrt() * alpha));
+    // Corners of an icosahedron: a unit vector whose parts are in the golden ratio.
+    let golden = (1.0 + 5f64.sqrt()) / 2.0;
+    let (a, b) = (
+        1.0 / (1.0 + golden * golden).sqrt(),
+        golden / (1.0 + golden * golden).sqrt(),
+    );
+    let axes = [
+        [0.0, a, b],
+        [0.0, a, -b],
+        [a, b, 0.0],
+        [a, -b, 0.0],
+        [b, 0.0, a],
+        [-b, 0.0, a],
+    ];
+    let mut inputs = Vec::new();
+    for axis in axes.map(Vector3::from) {
+        for wave in [1.5, 3.0, 6.0, 12.0] {
+            let variance = axis.dot(&lobe_deviation[0]).powi(2) + axis.dot(&lobe_deviation[1]).powi(2);
+            let factor = (-0.5 * wave * wave * variance).exp();
+            let angle = wave * axis.dot(&t);
+            inputs.extend([factor * angle.sin(), factor * angle.cos()]);
         }
     }
-    (0..3)
-        .map(|k| {
-            let diffuse = albedo[k] * (1.0 - metallic) * irradiance[k].max(0.0);
-            shown(case.model.options.display, diffuse + specular[k])
-        })
-        .collect()
+    inputs.extend(reflected);
+    inputs.extend([n_dot_eye.abs(), alpha]);
+    inputs.extend((position / HALF_SIZE).iter());
+    inputs.extend(&channels[14..16]);
+    let decoded = network(weights, &inputs, 16, 3);
+    let sums = split_sums(alpha.sqrt(), n_dot_eye.abs());
+    std::array::from_fn(|k| {
+        let u = reflected[k] + decoded[k];
+        let arriving = u.max(0.0) + (-u.abs()).exp().ln_1p();
+        arriving * (reflectance[k] * sums[0] + gloss * sums[1])
+    })
+}
+
+/// Direction to the eye and the point at `depth` on the ray of pixel `i`.
+fn on_ray(case: &Case, i: usize, depth: f64) -> (Vector3<f64>, Vector3<f64>) {
+    let wide = |v: glam::Vec3| Vector3::new(f64::from(v.x), f64::from(v.y), f64::from(v.z));
+    let (camera, (col, row)) = (&case.camera, ((i % SIZE) as f64, (i / SIZE) as f64));
+    let (u, v, w, axis) = (wide(camera.u), wide(camera.v), wide(camera.w), wide(camera.depth_axis));
+    let ray = (u - w * col).cross(&(v - w * row)).normalize();
+    let ray = ray * ray.dot(&axis).signum();
+    let along = (depth - axis.dot(&case.eye)) / axis.dot(&ray);
+    (-ray, case.eye + ray * along)
 }
 
 fn reference_of(case: &Case, flat: &Flat, globals: &Flat) -> Vec<f64> {
     let mut gaussians = reference_gaussians(flat);
     for (i, gaussian) in gaussians.iter_mut().enumerate() {
-        gaussian.albedo = seen(case, flat, globals, i);
+        gaussian.albedo = channels(case, flat, globals, i);
     }
-    reference_values(&gaussians, &case.camera, case.model.options.background)
+    let options = &case.model.options;
+    let pixels = reference_pixels(&gaussians, &case.camera);
+    let values = pixels.iter().enumerate().flat_map(|(i, pixel)| {
+        // Fainter pixels show no surface.
+        let share = 1.0 / pixel.alpha.max(1e-3);
+        let channels: Vec<f64> = pixel.albedo.iter().map(|value| value * share).collect();
+        let mut light = [channels[0], channels[1], channels[2]];
+        if options.specular && pixel.alpha > 1e-3 && channels[12] > 0.02 {
+            let (eye, position) = on_ray(case, i, pixel.depth * share);
+            let specular = specular(&channels, eye, position, &globals[1]);
+            light.iter_mut().zip(specular).for_each(|(light, more)| *light += more);
+        }
+        let over = |k: usize| {
+            pixel.alpha * shown(options.display, light[k]) + (1.0 - pixel.alpha) * f64::from(options.background[k])
+        };
+        [over(0), over(1), over(2), pixel.alpha]
+    });
+    values.collect()
 }
 
 fn engine(case: &Case) -> (Vec<f64>, Parameters) {

@@ -67,8 +67,8 @@ pub struct ModelOptions {
     pub light_radius: f32,
     /// Largest degree of the spherical harmonics: 3, or 0 for objects with the same colour from all directions.
     pub sh_degree: usize,
-    /// Units of each hidden layer of all networks, 1 to 256. The papers have 64 in `reflective` (0.1 to 0.3 dB better
-    /// in up to twice the time) and 256 in `olat` (14 times the time), see docs/lab/objects.md.
+    /// Units of each hidden layer of all networks, 1 to 256. The papers have 64 in `reflective` (no better) and 256 in
+    /// `olat` (14 times the time), see docs/lab/objects.md.
     pub network_width: usize,
     /// Hidden layers of all networks, 1 to 8; 3 and 6 in the papers.
     pub network_layers: usize,
@@ -123,14 +123,14 @@ pub struct ObjectConfig {
     pub model: ModelOptions,
 }
 
-/// Configurations of a run by kind of model: a step of `radiance` takes a fraction of the time of the other kinds, so
-/// it has more Gaussians, and in `fast` and `balanced` more steps.
+/// Configurations of a run by kind of model: a step under constant light takes a fraction of the time of one that traces
+/// lamps, so it has more Gaussians, and in `fast` and `balanced` more steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectConfigs {
-    /// Configuration for `radiance`.
-    pub radiance: ObjectConfig,
-    /// Configuration for `olat` and `reflective`, and for the short fits that choose a model.
-    pub lit: ObjectConfig,
+    /// Configuration for `radiance` and `reflective`.
+    pub constant: ObjectConfig,
+    /// Configuration for `olat`, and for the short fits that choose a model.
+    pub lamps: ObjectConfig,
 }
 
 impl ObjectConfigs {
@@ -141,18 +141,18 @@ impl ObjectConfigs {
     /// [`ConfigError::Set`] for a key that does not exist or a value of another kind, [`ConfigError::Value`] for a
     /// network of a size out of range, or a preset for satellite scenes only.
     pub fn resolve(preset: Preset, set: &[(String, String)], seed: u64) -> Result<Self, ConfigError> {
-        let (lit, radiance) = match preset {
+        let (lamps, constant) = match preset {
             Preset::Fast => (
                 include_str!("../presets/fast.toml"),
-                include_str!("../presets/fast_radiance.toml"),
+                include_str!("../presets/fast_constant.toml"),
             ),
             Preset::Balanced => (
                 include_str!("../presets/balanced.toml"),
-                include_str!("../presets/balanced_radiance.toml"),
+                include_str!("../presets/balanced_constant.toml"),
             ),
             Preset::Accurate => (
                 include_str!("../presets/accurate.toml"),
-                include_str!("../presets/accurate_radiance.toml"),
+                include_str!("../presets/accurate_constant.toml"),
             ),
             Preset::Preview | Preset::Best => {
                 return Err(ConfigError::Value {
@@ -168,13 +168,13 @@ impl ObjectConfigs {
             config.model.checked()?;
             Ok(config)
         };
-        let (lit, radiance) = (of(lit)?, of(radiance)?);
-        Ok(Self { radiance, lit })
+        let (lamps, constant) = (of(lamps)?, of(constant)?);
+        Ok(Self { constant, lamps })
     }
 
     /// Limits the Gaussians to `most`, and those of the start to half as many, which leaves room for growth.
     pub(super) fn limit(&mut self, most: usize) {
-        for config in [&mut self.radiance, &mut self.lit] {
+        for config in [&mut self.constant, &mut self.lamps] {
             config.start.gaussians = config.start.gaussians.min(most / 2);
             config.train.density.cap = config.train.density.cap.min(most);
         }
@@ -183,8 +183,8 @@ impl ObjectConfigs {
     /// Configuration for a kind of model.
     pub fn of(&self, kind: ModelKind) -> &ObjectConfig {
         match kind {
-            ModelKind::Radiance => &self.radiance,
-            _ => &self.lit,
+            ModelKind::Radiance | ModelKind::Reflective => &self.constant,
+            ModelKind::Olat | ModelKind::Auto => &self.lamps,
         }
     }
 }
@@ -262,7 +262,7 @@ mod tests {
         assert_eq!(
             ObjectConfigs::resolve(Preset::Fast, &set, 1)
                 .expect("a known key")
-                .radiance
+                .constant
                 .model
                 .sh_degree,
             1

@@ -61,7 +61,7 @@ pub fn fit(
     let begun = Instant::now();
     let planned_before = checkpoint.as_ref().and_then(|before| before.preprocessed.clone());
     let part = stage("trials");
-    let plan = planned_before.map_or_else(|| plan::plan(capture, &configs.lit, session), Ok)?;
+    let plan = planned_before.map_or_else(|| plan::plan(capture, &configs.lamps, session), Ok)?;
     drop(part);
     checkpoints.preprocessed = Some(plan.clone());
     let with_or_without = |has: bool| if has { "with" } else { "without" };

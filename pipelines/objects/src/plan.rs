@@ -14,8 +14,8 @@ use heliosplat_session::Session;
 
 /// Least gain of a part on held-out images, decibels, in addition to its significance (docs/lab/objects.md).
 const LEAST_GAIN_DB: f64 = 0.05;
-/// Least gain of gloss that needs a model of another kind, decibels. That model takes four times as long, and gains a
-/// little even on objects without gloss.
+/// Least gain of gloss that needs a model of another kind, decibels. That model takes twice as long, and gains a little
+/// even on objects without gloss.
 const LEAST_GAIN_OF_KIND_DB: f64 = 0.5;
 
 /// Result of short fits with and without a part.

@@ -25,7 +25,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 /// Bytes that a Gaussian takes in training: its parameters, their gradients, Adam's two memories, and its splat.
-const BYTES_PER_GAUSSIAN: f64 = 4.0 * 4.0 * 59.0 + 500.0;
+const BYTES_PER_GAUSSIAN: f64 = 4.0 * 4.0 * 72.0 + 500.0;
 
 /// Fewest Gaussians for which memory must suffice.
 const LEAST_GAUSSIANS: usize = 1000;
@@ -88,7 +88,7 @@ pub fn train(
         FolderState::Ready(folder) => *folder,
     };
     drop(part);
-    let steps = configs.lit.train.iterations as f64;
+    let steps = configs.lamps.train.iterations as f64;
     let parts = [("plan", 0.4 * steps), ("train", steps), ("products", 0.1 * steps)];
     let _whole = session.whole("train", &parts);
     let fitted = fit::fit(
@@ -110,7 +110,7 @@ pub fn train(
         version: env!("CARGO_PKG_VERSION").into(),
         build: build().into(),
         preset: request.preset.name().into(),
-        seed: configs.lit.train.seed,
+        seed: configs.lamps.train.seed,
         capture: std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()),
         inputs,
         config: configs.of(fitted.plan.kind).clone(),
@@ -144,8 +144,8 @@ fn identity(
     inputs: &[Input],
 ) -> Result<String, ObjectError> {
     let text_of = |config| toml::to_string(config).map_err(|error| ObjectError::Settings(error.to_string()));
-    let (radiance, lit) = (text_of(&configs.radiance)?, text_of(&configs.lit)?);
-    let mut text = identity_of_training(request, configs.lit.train.seed, &(radiance + &lit));
+    let (constant, lamps) = (text_of(&configs.constant)?, text_of(&configs.lamps)?);
+    let mut text = identity_of_training(request, configs.lamps.train.seed, &(constant + &lamps));
     for (frame, input) in capture.frames.iter().zip(inputs) {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "image {} {}", frame.name, input.sha256);

@@ -218,7 +218,7 @@ pub(super) fn runs() -> Vec<Vec<u8>> {
         capture: "capture".into(),
         inputs: Vec::new(),
         config: ObjectConfigs::resolve(heliosplat_fitting::settings::Preset::Fast, &[], 1)
-            .map(|configs| configs.radiance)
+            .map(|configs| configs.constant)
             .unwrap_or_default(),
         plan: None,
     };
