@@ -17,7 +17,7 @@
 //! curve.
 //!
 //! The sums of harmonics are evaluated per Gaussian, at its centre. They, the normal and the material are composited,
-//! and the second term is shaded once per pixel ([`reflection`]), with α the mean of both widths. Where `g` is next to
+//! and the second term is shaded once per pixel (`reflection`), with α the mean of both widths. Where `g` is next to
 //! nothing, ψ is not evaluated. Under a lamp (`lit`) Gaussians are shaded one by one.
 //!
 //! Limits: the light is unknown, so the images determine albedo and light only up to a common factor; no shadows and no
