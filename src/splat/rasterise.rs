@@ -7,11 +7,12 @@ use rayon::prelude::*;
 use std::borrow::Cow;
 use std::sync::{Mutex, PoisonError};
 
-/// Channel counts that are compiled; a request is rounded up to the next one.
+/// Channel counts that are compiled; a request is rounded up to the next one. The last is for renderings, where normals
+/// follow the channels of a model.
 pub const CHANNEL_COUNTS: [usize; 10] = [0, 1, 4, 5, 7, 8, 10, 12, 16, 20];
 
-/// The largest of [`CHANNEL_COUNTS`].
-pub const MOST_CHANNELS: usize = CHANNEL_COUNTS[CHANNEL_COUNTS.len() - 1];
+/// Most channels of a model and of a backward pass.
+pub const MOST_CHANNELS: usize = CHANNEL_COUNTS[CHANNEL_COUNTS.len() - 2];
 
 /// The compiled channel count that holds `channels`.
 ///
@@ -21,7 +22,7 @@ pub fn padded_channels(channels: usize) -> usize {
     CHANNEL_COUNTS
         .into_iter()
         .find(|&k| k >= channels)
-        .expect("a scene model has at most 20 channels")
+        .expect("a scene model has at most 16 channels, and normals three")
 }
 
 /// Composited depths along rays besides their mean.
@@ -158,7 +159,7 @@ impl<'a> Rasteriser<'a> {
     /// Gradients of the splats and features from those of the maps that [`Self::forward`] made.
     ///
     /// # Panics
-    /// When `channels` is not in [`CHANNEL_COUNTS`] or `features` has another size.
+    /// When `channels` is not in [`CHANNEL_COUNTS`] or beyond [`MOST_CHANNELS`], or `features` has another size.
     pub fn backward(&self, features: &[f32], channels: usize, maps: &Maps, grads: &MapGradients) -> SplatGradients {
         assert_eq!(features.len(), self.projected.splats.len() * channels);
         dispatch!(channels, K => self.backward_k::<K>(features, maps, grads))

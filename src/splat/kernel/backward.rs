@@ -7,10 +7,8 @@ use super::footprint::{BATCH, GROUPS, Groups, LOG2_ALPHA_MAX, TileSplat, exp2, l
 use super::tile::{GEOMETRY, LANES, Lane, PLANE, Plane, TileFrame, TileGradients, is_opaque, load, store};
 use crate::splat::bins::Entry;
 use crate::splat::project::Splat;
+use crate::splat::rasterise::MOST_CHANNELS;
 use crate::vectorised;
-
-/// Most channels that are composited at once.
-const K_MAX: usize = 16;
 
 /// State of a tile while its splats are visited front to back.
 struct TileState {
@@ -21,7 +19,7 @@ struct TileState {
     h: [Lane; GROUPS],
     m: [Lane; GROUPS],
     /// Lane sums of the current splat: the gradients of its channels, then its moments.
-    sums: [Lane; K_MAX + GEOMETRY],
+    sums: [Lane; MOST_CHANNELS + GEOMETRY],
 }
 
 vectorised! {
@@ -40,7 +38,7 @@ vectorised! {
     ) {
         let width = K + GEOMETRY;
         // Hidden from the compiler, which would unroll the sums over lanes and shuffle more than add.
-        let quantities = std::hint::black_box(width).min(K_MAX + GEOMETRY);
+        let quantities = std::hint::black_box(width).min(MOST_CHANNELS + GEOMETRY);
         let place = |entry: &Entry| {
             let start = (entry.record - base) as usize * width;
             start..start + width
@@ -50,7 +48,7 @@ vectorised! {
             rest: grads.total,
             h: [[0.0; LANES]; GROUPS],
             m: [[0.0; LANES]; GROUPS],
-            sums: [[0.0; LANES]; K_MAX + GEOMETRY],
+            sums: [[0.0; LANES]; MOST_CHANNELS + GEOMETRY],
         };
         frame.reset_transmittance(&mut state.transmittance);
         let mut splats_in_tile = [TileSplat::<K>::NOTHING; BATCH];
