@@ -3,8 +3,9 @@
 //!
 //! Ties need cameras that agree to a few pixels and a surface of that accuracy, so pointing is estimated from coarse to
 //! fine: shifts from a coarse sweep, then ties and an adjustment at half and at full resolution. Coarse shifts can be
-//! wrong (little texture, few views), so the adjustment at half resolution also runs without them; the result with more
-//! agreeing ties is used.
+//! wrong (little texture, few views), so the adjustment at half resolution also runs without them. Where the two differ
+//! by a pixel, both go on to full resolution: a small image has too few ties at half resolution to decide. The result
+//! with more agreeing ties is used.
 
 pub mod camera_error;
 mod contradiction;
@@ -45,6 +46,13 @@ const CONTRADICTORY_PX: f64 = 0.5;
 pub fn ground(scene: &Scene) -> Result<GroundViews<'_>, SatelliteError> {
     GroundViews::new(scene, scene.images.iter())
 }
+
+/// Difference of two shifts of an image from which ties at full resolution may find other ground, pixels: within one,
+/// the same patches correlate.
+const APART_PX: f32 = 1.0;
+
+/// An adjustment and its ties.
+type Tied = (Adjustment, Vec<Track>);
 
 /// Input of the search for ties.
 #[derive(Clone, Copy)]
@@ -96,9 +104,11 @@ impl AdjustInput<'_> {
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.
     pub(crate) fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<(Adjustment, Vec<Track>), RpcError> {
-        let (half, _) = self.at_half_resolution()?;
+        let halves = self.at_half_resolution()?;
         progress(0.5);
-        let (full, tracks) = self.round(&shifts(&half), 1, model)?;
+        let mut starts: Vec<Vec<[f32; 2]>> = halves.iter().map(|(half, _)| shifts(half)).collect();
+        starts.dedup_by(|other, best| !are_apart(best, other));
+        let (full, tracks) = best_first(starts.iter().map(|start| self.round(start, 1, model)))?.swap_remove(0);
         progress(1.0);
         if !full.converged {
             tracing::warn!(
@@ -129,21 +139,19 @@ impl AdjustInput<'_> {
         exchange(&self.images(&cameras), tracks, self.ground.frame)
     }
 
-    /// The better of two adjustments at half resolution with its ties: one from the shifts of a coarse sweep, one from
-    /// none.
+    /// Adjustments at half resolution with their ties, the better one first: one from the shifts of a coarse sweep, one
+    /// from none.
     ///
     /// # Errors
-    /// [`RpcError::Invalid`] when there are too few ties.
-    fn at_half_resolution(&self) -> Result<(Adjustment, Vec<Track>), RpcError> {
+    /// [`RpcError::Invalid`] when there are too few ties from either.
+    fn at_half_resolution(&self) -> Result<Vec<Tied>, RpcError> {
         let coarse = coarse_shifts(self.views, &self.ground.request(self.cell_m, self.matching));
         let none = vec![[0.0; 2]; self.views.len()];
-        let of = |shifts: &[[f32; 2]]| self.round(shifts, 0, BiasModel::Translation);
-        let (from_coarse, from_none) = (of(&coarse), of(&none));
-        match (from_coarse, from_none) {
-            (Ok(a), Ok(b)) => Ok(if agreement(&a.0) < agreement(&b.0) { b } else { a }),
-            (Ok(a), Err(_)) => Ok(a),
-            (Err(_), other) => other,
-        }
+        best_first(
+            [coarse, none]
+                .iter()
+                .map(|shifts| self.round(shifts, 0, BiasModel::Translation)),
+        )
     }
 
     /// Ties between the cameras moved by `shifts` (columns, rows; pixels), at half (0) or full (1) resolution, and the
@@ -224,6 +232,26 @@ fn weight(score: f32) -> f64 {
 /// Number of sightings that fit.
 fn agreement(adjustment: &Adjustment) -> usize {
     adjustment.images.iter().map(|image| image.good).sum()
+}
+
+/// The adjustments that exist, those with more agreeing sightings first.
+///
+/// # Errors
+/// The first error if none exists.
+fn best_first(found: impl Iterator<Item = Result<Tied, RpcError>>) -> Result<Vec<Tied>, RpcError> {
+    let (good, bad): (Vec<_>, Vec<_>) = found.partition(Result::is_ok);
+    let mut good: Vec<Tied> = good.into_iter().flatten().collect();
+    good.sort_by_key(|(adjustment, _)| std::cmp::Reverse(agreement(adjustment)));
+    match bad.into_iter().next() {
+        Some(Err(error)) if good.is_empty() => Err(error),
+        _ => Ok(good),
+    }
+}
+
+/// True if an image is shifted otherwise by [`APART_PX`] or more.
+fn are_apart(some: &[[f32; 2]], others: &[[f32; 2]]) -> bool {
+    let pairs = some.iter().flatten().zip(others.iter().flatten());
+    pairs.into_iter().any(|(one, other)| (one - other).abs() >= APART_PX)
 }
 
 /// Shift of each image (columns, rows; pixels) in an adjustment.

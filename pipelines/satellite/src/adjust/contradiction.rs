@@ -132,7 +132,7 @@ pub fn findings(scene: &Scene, config: &SatelliteConfig) -> Vec<Finding> {
     let pixels = ground.pixels();
     // Half resolution passes sound scenes in half of the time; a contradiction there is confirmed at full resolution,
     // as in `dsm` and `train`.
-    let Ok((half, ties)) = input.at_half_resolution() else {
+    let Some((half, ties)) = input.at_half_resolution().ok().map(|mut found| found.swap_remove(0)) else {
         return Vec::new();
     };
     let exchanged = input.exchange(&ties).map(|exchange| of_exchange(&exchange, &ground));
