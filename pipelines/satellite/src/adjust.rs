@@ -250,8 +250,8 @@ fn best_first(found: impl Iterator<Item = Result<Tied, RpcError>>) -> Result<Vec
 
 /// True if an image is shifted otherwise by [`APART_PX`] or more.
 fn are_apart(some: &[[f32; 2]], others: &[[f32; 2]]) -> bool {
-    let pairs = some.iter().flatten().zip(others.iter().flatten());
-    pairs.into_iter().any(|(one, other)| (one - other).abs() >= APART_PX)
+    let mut pairs = some.iter().flatten().zip(others.iter().flatten());
+    pairs.any(|(one, other)| (one - other).abs() >= APART_PX)
 }
 
 /// Shift of each image (columns, rows; pixels) in an adjustment.
