@@ -39,6 +39,13 @@ const WORTHLESS_SCORE: f32 = 0.7;
 /// sound real scenes have 0.06 to 0.24 px, four images of which two have swapped cameras 0.74 px.
 const CONTRADICTORY_PX: f64 = 0.5;
 
+/// Difference of two shifts of an image from which ties at full resolution may find other ground, pixels: within one,
+/// the same patches correlate.
+const APART_PX: f32 = 1.0;
+
+/// An adjustment and its ties.
+type Tied = (Adjustment, Vec<Track>);
+
 /// The common ground of a scene in all of its images. Held-out images are included: their cameras have errors too.
 ///
 /// # Errors
@@ -46,13 +53,6 @@ const CONTRADICTORY_PX: f64 = 0.5;
 pub fn ground(scene: &Scene) -> Result<GroundViews<'_>, SatelliteError> {
     GroundViews::new(scene, scene.images.iter())
 }
-
-/// Difference of two shifts of an image from which ties at full resolution may find other ground, pixels: within one,
-/// the same patches correlate.
-const APART_PX: f32 = 1.0;
-
-/// An adjustment and its ties.
-type Tied = (Adjustment, Vec<Track>);
 
 /// Input of the search for ties.
 #[derive(Clone, Copy)]
@@ -103,7 +103,7 @@ impl AdjustInput<'_> {
     ///
     /// # Errors
     /// [`RpcError::Invalid`] when there are too few ties.
-    pub(crate) fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<(Adjustment, Vec<Track>), RpcError> {
+    pub(crate) fn tied(&self, model: BiasModel, progress: &dyn Fn(f32)) -> Result<Tied, RpcError> {
         let halves = self.at_half_resolution()?;
         progress(0.5);
         let mut starts: Vec<Vec<[f32; 2]>> = halves.iter().map(|(half, _)| shifts(half)).collect();
@@ -156,7 +156,7 @@ impl AdjustInput<'_> {
 
     /// Ties between the cameras moved by `shifts` (columns, rows; pixels), at half (0) or full (1) resolution, and the
     /// adjustment of the cameras as delivered.
-    fn round(&self, shifts: &[[f32; 2]], level: usize, model: BiasModel) -> Result<(Adjustment, Vec<Track>), RpcError> {
+    fn round(&self, shifts: &[[f32; 2]], level: usize, model: BiasModel) -> Result<Tied, RpcError> {
         let moved: Vec<SweepView> = self
             .views
             .iter()

@@ -65,6 +65,7 @@ pub(super) struct PixelSurface {
     pub(super) pixel: usize,
     /// Composited channels over alpha.
     channels: [f32; CHANNELS],
+    /// Mean square of the lobe's widths, more than zero.
     variance: f32,
     /// Length of the mean normal.
     length: f32,
