@@ -16,6 +16,7 @@
 
 mod darkness;
 mod horizon;
+mod inverted;
 mod score;
 
 pub(crate) use darkness::{Darkness, bilinear};
@@ -25,6 +26,7 @@ use heliosplat_stereo::Surface;
 use heliosplat_stereo::SweepView;
 pub(crate) use horizon::toward;
 use horizon::{relief_of, sample};
+pub use inverted::Inversion;
 use rayon::prelude::*;
 use score::{BLOCKS, CellDarkness, Moments, shaded_sums};
 

@@ -12,7 +12,7 @@ use heliosplat::Raster;
 use heliosplat::timeline::stage;
 use heliosplat_radiometry::bridged::{self, Lowered};
 use heliosplat_radiometry::change;
-use heliosplat_radiometry::suns::ShadowSun;
+use heliosplat_radiometry::suns::{Inversion, ShadowSun};
 use heliosplat_scene::{AltitudeSource, ImageSun, Index, IngestOptions, Scene};
 use heliosplat_session::Session;
 use heliosplat_stereo::change::Changes;
@@ -105,6 +105,7 @@ impl<'a> Preprocess<'a> {
         for warning in CellCounts::of(&surface, scene).warnings(scene.altitude_range_m) {
             tracing::warn!("{warning}");
         }
+        warn_of_inversion(inversion(&ground, &rasters, &shifts_px, &surface));
         let seconds = [aligned.as_secs_f64(), (started.elapsed() - aligned).as_secs_f64()];
         let found = Preprocessed {
             surface,
@@ -259,6 +260,29 @@ pub(super) fn lower(
     changes: &mut Changes,
 ) -> Option<Lowered> {
     bridged::lower(&views(ground, rasters, &None, shifts_px), surface, changes)
+}
+
+/// Shadows of the surface on the crops, and those of the surface upside down; `None` without a known sun.
+pub(super) fn inversion(
+    ground: &GroundViews,
+    rasters: &[Raster],
+    shifts_px: &[[f32; 2]],
+    surface: &Surface,
+) -> Option<Inversion> {
+    Inversion::of(&views(ground, rasters, &None, shifts_px), surface, &surface.supported())
+}
+
+/// Warns of shadows that are those of a surface upside down.
+pub(super) fn warn_of_inversion(inversion: Option<Inversion>) {
+    tracing::debug!(?inversion, "shadows of the surface and of it upside down");
+    if let Some(found) = inversion.filter(Inversion::is_decisive) {
+        tracing::warn!(
+            "the shadows in the images are those of a surface upside down (correlation {:.2}; of the surface itself {:.2}): check that each \
+             image has its own camera and date",
+            found.inverted,
+            found.upright
+        );
+    }
 }
 
 /// Logs the lowered parts, if there are any.

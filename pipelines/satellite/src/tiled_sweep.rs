@@ -13,7 +13,7 @@ use super::error::SatelliteError;
 use super::ground::{GroundViews, volume};
 use super::limits::CellCounts;
 use super::plan::Decisions;
-use super::preprocess::{clear_rasters, log_lowered, lower, sweep, worth_correcting};
+use super::preprocess::{clear_rasters, inversion, log_lowered, lower, sweep, warn_of_inversion, worth_correcting};
 use super::sweep_tiles::{ROWS_AT_ONCE, SweepPlan, SweepTile, SweepTiling};
 use heliosplat::timeline::stage;
 use heliosplat_grid::statistics::upper_median;
@@ -22,6 +22,7 @@ use heliosplat_products::dsm::{self, StreamedDsm};
 use heliosplat_products::nadir::{GroundExtent, NadirGrid};
 use heliosplat_products::stored::{StoredPiece, blend_rows};
 use heliosplat_radiometry::bridged::Lowered;
+use heliosplat_radiometry::suns::Inversion;
 use heliosplat_raster::Geoid;
 use heliosplat_raster::geoid::GeoidGrid;
 use heliosplat_raster::temporary::TemporaryFolder;
@@ -81,6 +82,7 @@ struct Swept {
     piece: Piece,
     counts: CellCounts,
     lowered: Lowered,
+    inversion: Option<Inversion>,
 }
 
 impl TiledSweep<'_> {
@@ -97,6 +99,7 @@ impl TiledSweep<'_> {
         let mut counts = CellCounts::default();
         // Cells where tiles overlap are counted twice.
         let mut lowered = Lowered::default();
+        let mut inversions = Vec::new();
         let count = self.tiling.tiles.len();
         for (index, tile) in self.tiling.tiles.iter().enumerate() {
             if session.stopped() {
@@ -106,6 +109,7 @@ impl TiledSweep<'_> {
             if let Some(tile) = self.tile(tile, &decided)? {
                 counts += tile.counts;
                 lowered += tile.lowered;
+                inversions.extend(tile.inversion);
                 let _part = stage("products");
                 pieces.push(StoredPiece::write(
                     tile.piece,
@@ -119,6 +123,9 @@ impl TiledSweep<'_> {
             return Err(SatelliteError::too_few_views(0));
         }
         log_lowered(&lowered);
+        // The median tile: a lake or a wrong roof is no inverted scene.
+        inversions.sort_by(|one, other| one.margin.total_cmp(&other.margin));
+        warn_of_inversion(inversions.get(inversions.len() / 2).copied());
         for warning in counts.warnings(self.survey.altitude_range_m) {
             tracing::warn!("{warning}");
         }
@@ -172,6 +179,7 @@ impl TiledSweep<'_> {
         let part = stage("sweep");
         let mut surface = sweep(&ground, &rasters, &shifts_px, &decided.decisions, &request, &|_| {});
         let lowered = lower(&ground, &rasters, &shifts_px, &mut surface, &mut Changes::default());
+        let inversion = inversion(&ground, &rasters, &shifts_px, &surface);
         drop(part);
         let _part = stage("products");
         let counts = CellCounts::of(&surface, &scene);
@@ -194,6 +202,7 @@ impl TiledSweep<'_> {
             piece,
             counts,
             lowered: lowered.unwrap_or_default(),
+            inversion,
         }))
     }
 

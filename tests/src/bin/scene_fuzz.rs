@@ -130,14 +130,17 @@ fn main() {
         let faults = &request.faults;
         match &outcome {
             Outcome::Silent(found) => {
-                println!("SILENT {seed} {faults:?}: {}", figures(found));
+                let scene = request.scene();
+                let stated = scene.stated_m.map(|(low, high)| format!(" --altitude={low},{high}"));
+                let stated = stated.unwrap_or_default();
+                println!("SILENT {seed} {faults:?}: {}{stated}", figures(found));
                 if args.cells {
-                    list_wrong(found, &request.scene().truth);
+                    list_wrong(found, &scene.truth);
                 }
                 if let Some(keep) = &args.keep {
                     let folder = keep.join(seed.to_string());
                     std::fs::create_dir_all(&folder).expect("a folder");
-                    request.scene().write(&folder);
+                    scene.write(&folder);
                 }
             }
             Outcome::Steps(found) => println!("steps {seed} {faults:?}: {}", figures(found)),

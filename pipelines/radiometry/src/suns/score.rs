@@ -49,7 +49,7 @@ impl Moments {
         self.squares += darkness * darkness;
     }
 
-    fn plus(&mut self, other: &Self, times: f64) {
+    pub(super) fn plus(&mut self, other: &Self, times: f64) {
         self.count += times * other.count;
         self.sum += times * other.sum;
         self.squares += times * other.squares;

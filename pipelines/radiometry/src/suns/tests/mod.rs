@@ -101,6 +101,23 @@ fn views_of_one_date_share_one_sun_and_known_suns_are_left_alone() {
 }
 
 #[test]
+fn a_town_upside_down_is_told_from_a_town_by_its_shadows() {
+    let town = town();
+    let images: Vec<Raster> = SUNS_DEG.iter().map(|&sun| image(&town, sun)).collect();
+    let mut views = views(&images);
+    let of = |views: &[SweepView], surface: &Surface| Inversion::of(views, surface, &vec![true; SIDE * SIDE]);
+    assert_eq!(of(&views, &town), None, "no sun is known");
+    for (view, [azimuth_deg, elevation_deg]) in views.iter_mut().zip(SUNS_DEG) {
+        view.sun = Some(Vec3::from(direction(azimuth_deg, elevation_deg).map(|v| v as f32)));
+    }
+    let inverted = of_altitude(town.altitude.iter().map(|altitude| -altitude).collect());
+    let found = [&town, &inverted].map(|surface| of(&views, surface).expect("suns are known"));
+    assert!(!found[0].is_decisive() && found[1].is_decisive(), "{found:?}");
+    let level = of(&views, &of_altitude(vec![0.0; SIDE * SIDE])).expect("suns are known");
+    assert!(!level.is_decisive(), "{level:?}");
+}
+
+#[test]
 fn level_ground_says_nothing() {
     let surface = of_altitude(vec![0.0; SIDE * SIDE]);
     let town = town();
